@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Final, SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
-from dmotion_bench.api.settings import EXECUTORS, require_one_of, whole
+from dmotion_bench.api.settings import EXECUTORS, number, require_one_of, whole
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
@@ -26,6 +26,7 @@ from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Clock
 from dmotion_bench.storage.imports.sources import SUFFIXES
 from dmotion_bench.storage.video.codecs import CODECS
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, listed
 
 _CLUSTER_GIGABYTES: Final = 8
@@ -35,7 +36,7 @@ _CLUSTER_MINUTES: Final = 24 * 60
 def import_recordings(
     recordings: AnyPaths,
     *,
-    camera: str | None = None,
+    camera: str | int | None = None,
     actions: str | None = None,
     action_fields: Sequence[str] = (),
     action_reduce: str = "last",
@@ -119,20 +120,20 @@ def import_recordings(
     ):
         require_one_of(option, value, map(str, allowed))
     options = ImportOptions(
-        camera=camera,
-        actions=actions,
-        action_fields=(action_fields,) if isinstance(action_fields, str) else tuple(action_fields),
+        camera=str(camera) if type(camera) is int else _name("camera", camera),
+        actions=_name("actions", actions),
+        action_fields=_names("action_fields", action_fields),
         action_reduce=Reduce(action_reduce),
         size=whole("size", size),
-        hz=hz,
+        hz=number("hz", hz),
         fit=Fit(fit),
         clock=Clock(clock),
-        max_gap_s=max_gap_s,
+        max_gap_s=number("max_gap_s", max_gap_s),
         min_frames=whole("min_frames", min_frames),
         frames_per_episode=whole("frames_per_episode", frames_per_episode),
         seed=whole("seed", seed),
         salvage=salvage,
-        source_hz=source_hz,
+        source_hz=number("source_hz", source_hz),
         limits=ImportLimits(
             chunk_bytes=whole("max_chunk_mib", max_chunk_mib, 1) * MIB,
             reader_bytes=whole("max_memory_mib", max_memory_mib, 64) * MIB,
@@ -166,6 +167,29 @@ def default_folder(recordings: Sequence[Path], workspace: Workspace) -> Path:
     if not recordings:
         raise UsageError("no recording was named; give files or folders of recordings.")
     return workspace.data / f"imported-{_plain(recordings[0])}"
+
+
+def _name(argument: str, given: object) -> str | None:
+    """A text, or None.
+
+    Raises:
+        UsageError: It is neither.
+    """
+    if given is not None and not isinstance(given, str):
+        raise UsageError(f"{argument} is {shown(given)}; it must be a text.")
+    return given
+
+
+def _names(argument: str, given: object) -> tuple[str, ...]:
+    """Some texts, of which one alone may stand for itself.
+
+    Raises:
+        UsageError: They are something else.
+    """
+    names = (given,) if isinstance(given, str) or not isinstance(given, Iterable) else tuple(given)
+    if not all(isinstance(name, str) for name in names):
+        raise UsageError(f"{argument} is {shown(given)}; it must be a list of texts, such as ['linear.x'].")
+    return names
 
 
 def _plain(path: Path) -> str:

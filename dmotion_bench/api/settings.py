@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import operator
 from collections.abc import Iterable, Mapping, Sequence
+from numbers import Real
 from typing import Any, Final, SupportsIndex, overload
 
 import numpy as np
@@ -54,6 +55,31 @@ def whole(name: str, given: Any, least: int | None = None, most: int | None = No
     return number
 
 
+@overload
+def number(name: str, given: float) -> float: ...
+@overload
+def number(name: str, given: float | None) -> float | None: ...
+def number(name: str, given: Any) -> float | None:
+    """A number as Python's own with a fraction, or None where None was given: 10 and 10.0 are written alike.
+
+    Args:
+        name: Of the argument.
+        given: Its value; one of NumPy's may be given, ``True`` and ``False`` are no numbers.
+
+    Raises:
+        UsageError: It is no number.
+    """
+    if given is None:
+        return None
+    try:
+        found = float(given) if _is_number(given) else None
+    except OverflowError:
+        found = None
+    if found is None:
+        raise UsageError(f"{name} is {shown(given)}; it must be a number.")
+    return found
+
+
 def share(name: str, given: float) -> float:
     """A number from 0 to 1.
 
@@ -64,10 +90,13 @@ def share(name: str, given: float) -> float:
     Raises:
         UsageError: It is none.
     """
-    is_number = isinstance(given, int | float | np.number) and not isinstance(given, bool)
-    if not is_number or not 0 <= given <= 1:
+    if not _is_number(given) or not 0 <= given <= 1:
         raise UsageError(f"{name} is {shown(given)}; it must be a share from 0 to 1.")
     return float(given)
+
+
+def _is_number(given: object) -> bool:
+    return isinstance(given, Real) and not isinstance(given, bool)  # NumPy's and fractions are real numbers, too
 
 
 def require_one_of(kind: str, given: str, allowed: Iterable[str]) -> None:

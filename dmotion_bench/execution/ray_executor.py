@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
-from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result
+from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result, Sendable
 from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.wording import counted
 from dmotion_bench.workspace import CACHE_VARIABLE
@@ -77,9 +77,11 @@ class RayExecutor:
             cache = os.environ.get(CACHE_VARIABLE)
             chosen = {CACHE_VARIABLE: str(Path(cache).absolute())} if cache else {}
 
+            sent = Sendable(function)
+
             def run(job: Job) -> Result:  # Ray takes functions, not whatever can be called
                 os.environ.update(chosen)  # a worker has the variables of its Ray, which may have run before
-                return function(job)
+                return sent(job)
 
             task = ray.remote(num_cpus=self._each, num_gpus=self._gpus, max_retries=0)(run)
             while True:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DatasetError, RunError, ShareMissing, UsageError
+from dmotion_bench.errors import DatasetError, RunError, ShareCorrupt, ShareMissing, UsageError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.arriving import Files, arriving, refused, settle, take
 from dmotion_bench.sharing.place import DATASETS, HASH, RUNS, Place, damaged
@@ -72,6 +72,8 @@ def _share(place: Place, folder: str, weights: str, facts: FileFacts) -> RunShar
         try:
             place.fetch(f"{folder}/{facts.sha256}.json", facts, file)
             share = RunShare.parse(file.read_bytes())
+        except ShareCorrupt:  # it spoils no other manifest beside it
+            return "it does not hold the bytes that its name describes"
         except (ValueError, FileNotFoundError) as error:
             return str(error)
     return share if share.weights == weights else f"it is of the weights {share.weights[:12]}"

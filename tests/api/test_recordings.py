@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from storage.foreign import foxglove_file, steady, video
+from storage.foreign_video import moving, video_file
 
 import dmotion_bench as dm
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName, UsageError
@@ -41,6 +43,16 @@ def test_what_was_imported_stands_wherever_a_data_set_may(files: list[Path]) -> 
         ({"workers": 0}, UsageError, "workers is 0; it must be a whole number of 1 or more."),
         ({"size": True}, UsageError, "size is True; it must be a whole number"),
         ({"hz": float("nan")}, InvalidSetting, "hz is nan"),
+        ({"hz": "10"}, UsageError, "hz is '10'; it must be a number."),
+        ({"hz": 10**400}, UsageError, "hz is 1000.*; it must be a number."),
+        ({"hz": None}, InvalidSetting, "hz is None; allowed is"),
+        ({"source_hz": True}, UsageError, "source_hz is True; it must be a number."),
+        ({"max_gap_s": "1"}, UsageError, "max_gap_s is '1'; it must be a number."),
+        ({"max_gap_s": float("inf")}, InvalidSetting, "max_gap_s is inf; a gap is longer than 0 s, and no recording"),
+        ({"camera": 1.5}, UsageError, "camera is 1.5; it must be a text."),
+        ({"actions": 3}, UsageError, "actions is 3; it must be a text."),
+        ({"actions": "/a", "action_fields": [0]}, UsageError, r"action_fields is \[0\]; it must be a list of texts"),
+        ({"actions": "/a", "action_fields": 0}, UsageError, "action_fields is 0; it must be a list of texts"),
         ({"recordings": []}, UsageError, "no recording was named"),
     ],
 )
@@ -50,6 +62,23 @@ def test_what_is_wrong_is_said_and_nothing_is_written(
     with pytest.raises(error, match=says.replace("?", r"\?")):
         dm.import_recordings(**({"recordings": files} | given))
     assert not Path("data").exists()
+
+
+def test_a_whole_number_is_written_as_one_with_a_fraction(tmp_path: Path, files: list[Path]) -> None:
+    """The command line knows fractions alone: the same numbers make the same bytes, NumPy's as well."""
+    given: list[dict[str, Any]] = [
+        {"hz": 5.0, "max_gap_s": 1.0},
+        {"hz": 5, "max_gap_s": 1},
+        {"hz": np.int64(5), "max_gap_s": np.float32(1)},
+        {"hz": Fraction(10, 2), "max_gap_s": Fraction(1)},
+    ]
+    made = [dm.import_recordings("a.mcap", size=16, out=f"data/{place}", **one) for place, one in enumerate(given)]
+    assert len({(one.path / "dataset.json").read_bytes() for one in made}) == 1
+
+
+def test_the_stream_of_a_video_may_be_a_whole_number(tmp_path: Path, files: list[Path]) -> None:
+    video_file(tmp_path / "a.mkv", moving(6, 32, 32))
+    assert dm.import_recordings("a.mkv", camera=0, size=16) == dm.import_recordings("a.mkv", camera="0", size=16)
 
 
 @pytest.mark.slow

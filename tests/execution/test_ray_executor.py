@@ -108,6 +108,21 @@ def test_workers_of_a_ray_that_runs_already_take_the_cache_of_the_command(
     assert list(found) == [str(tmp_path / "frames")] * 2
 
 
+class OfTwo(Exception):
+    def __init__(self, what: str, motor: int) -> None:
+        super().__init__(f"{what} (motor {motor})")
+
+
+def raises_what_cannot_be_sent(_job: int) -> None:
+    raise OfTwo("the arm is stuck", 3)
+
+
+def test_what_cannot_be_sent_to_the_command_arrives_as_its_text(ray: PretendRay) -> None:
+    """Ray would say that its own system failed: it cannot read such an exception."""
+    with pytest.raises(RuntimeError, match=r"OfTwo: the arm is stuck \(motor 3\)"):
+        list(RayExecutor(1).map_unordered(raises_what_cannot_be_sent, [1]))
+
+
 def test_a_ray_of_this_machine_can_run_what_is_asked_for(ray: PretendRay, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ray_executor, "available_workers", lambda: 2)
     assert list(RayExecutor(size=JobSize(processors=8)).map_unordered(abs, [-1])) == [1]

@@ -189,8 +189,26 @@ def test_a_manifest_under_another_name_than_its_hash_is_refused(
     dm.share_push("known", folder.address)
     name, content = next((name, content) for name, content in folder.files().items() if name.endswith(".json"))
     folder.put(name, content.replace(b'"model": "dmotion"', b'"model": "another"'))
-    with pytest.raises(ShareCorrupt, match="does not hold the bytes that its name"):
+    with pytest.raises(ShareCorrupt, match=r"\.json' is damaged: it does not hold the bytes that its name .*--mend"):
         dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
+    assert ["does not hold the bytes" in one.damage for one in dm.share_list(folder.address)] == [True]
+
+
+@pytest.mark.parametrize("digest", ["0" * 64, "f" * 64])
+def test_a_damaged_manifest_spoils_no_other(
+    workspace: Workspace, outsider: Workspace, folder: Published, digest: str
+) -> None:
+    """Anybody who may write there may have left it; others still see and fetch what is sound."""
+    dm.share_push(["known", "noise"], folder.address)
+    folder.put(f"runs/{weights(workspace)}/{digest}.json", b"{}")
+    listed = dm.share_list(folder.address)
+    assert sorted((one.kind, one.damage != "") for one in listed) == [
+        ("data set", False),
+        ("run", False),
+        ("run", True),
+    ]
+    dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
+    assert (outsider.runs / "known").is_dir()
 
 
 def test_other_weights_with_a_manifest_that_lies_are_deleted_again(

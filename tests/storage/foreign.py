@@ -142,10 +142,12 @@ def ros_file(
     return file
 
 
-def ros_image(t_ns: int, height: int, width: int, encoding: str, step: int, data: bytes) -> dict[str, Any]:
+def ros_image(
+    t_ns: int, height: int, width: int, encoding: str, step: int, data: bytes, frame_id: str = "camera"
+) -> dict[str, Any]:
     """The fields of a sensor_msgs/msg/Image."""
     return {
-        "header": ros_header(t_ns),
+        "header": ros_header(t_ns, frame_id),
         "height": height,
         "width": width,
         "encoding": encoding,
@@ -155,7 +157,7 @@ def ros_image(t_ns: int, height: int, width: int, encoding: str, step: int, data
     }
 
 
-def ros_header(t_ns: int) -> Any:
+def ros_header(t_ns: int, frame_id: str = "camera") -> Any:
     """A std_msgs/msg/Header."""
     stamp = ROS.types["builtin_interfaces/msg/Time"](sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-    return ROS.types["std_msgs/msg/Header"](stamp=stamp, frame_id="camera")
+    return ROS.types["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id)

@@ -46,6 +46,7 @@ def video_file(
     times: Sequence[float] | None = None,
     rate: int = 10,
     rotation: tuple[int, bool, bool] | None = None,
+    pixel_aspect: Fraction | None = None,
     encoder: tuple[str, str, Mapping[str, str]] | None = None,
     form: str | None = None,
     options: Mapping[str, str] | None = None,
@@ -59,6 +60,7 @@ def video_file(
         times: When each is shown [s]; steady by default.
         rate: Pictures a second.
         rotation: How it is to be shown: degrees, mirrored left-right, mirrored up-down.
+        pixel_aspect: Width to height of a pixel as it is to be shown.
         encoder: Another one: FFmpeg's name, its pixels, its options.
         form: FFmpeg's name of the container, where the suffix does not tell.
         options: Of the container.
@@ -73,6 +75,8 @@ def video_file(
                 assert isinstance(stream, VideoStream)
                 stream.height, stream.width, stream.pix_fmt = picture.shape[0], picture.shape[1], pixels
                 stream.codec_context.time_base = unit
+                if pixel_aspect is not None:
+                    stream.codec_context.sample_aspect_ratio = pixel_aspect
                 if rotation is not None:
                     stream.set_display_rotation(rotation[0], hflip=rotation[1], vflip=rotation[2])
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24").reformat(format=pixels)

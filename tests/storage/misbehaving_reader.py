@@ -53,7 +53,7 @@ class Misbehaving:
                 time.sleep(0.05)
         commands = DiscreteCommands(times_ns=np.array([5, 9]), names=["b", "a"], vocabulary=["b", "a", "c"])
         segments = [Segment(times_ns=np.array([3, 7])), Segment(times_ns=np.array([5, 9, 11]), commands=commands)]
-        return Survey(camera="eye", height=2, width=3, segments=segments, hints=["look closer."])
+        return Survey(camera="eye", height=2, width=3, segments=segments, hints=["look closer."], told=["it blinks."])
 
     def pictures(self, segment: int, wanted: np.ndarray) -> Iterator[np.ndarray]:
         for number in wanted.tolist():

@@ -33,6 +33,7 @@ def test_what_is_read_there_arrives_here(confinement: Confinement) -> None:
     recording = opened(confinement, "fine")
     survey = recording.survey()
     assert (survey.camera, survey.height, survey.width, survey.hints) == ("eye", 2, 3, ["look closer."])
+    assert survey.told == ["it blinks."]
     first, second = survey.segments
     assert (first.times_ns.tolist(), second.times_ns.tolist()) == ([3, 7], [5, 9, 11])
     assert first.commands is None

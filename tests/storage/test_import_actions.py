@@ -18,6 +18,7 @@ from storage.foreign import ROS, foxglove_file, raw_image, ros_file, ros_image, 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.imports.commands import DiscreteCommands, ordered_names
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Clock
@@ -84,6 +85,13 @@ def test_actions_that_all_come_too_late_are_said(tmp_path: Path) -> None:
         RecordingImportError, match=r"no action comes before the last picture, the first one 59.2 s after"
     ):
         imported(file, tmp_path)
+
+
+def test_words_for_the_same_number_have_one_order_in_every_process() -> None:
+    """A set of texts has another order in each process, and the number of an action follows from the order."""
+    names = [f"{'0' * zeros}7" for zeros in range(9, -1, -1)]
+    given = DiscreteCommands(times_ns=np.arange(11), names=["8", *names[::-1]])
+    assert ordered_names([given], 64) == (*names, "8")
 
 
 def test_json_actions_hold_until_the_next(tmp_path: Path) -> None:

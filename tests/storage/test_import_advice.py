@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from storage.foreign import compressed, video
 
-from dmotion_bench.storage.imports.advice import advice
+from dmotion_bench.storage.imports.advice import advice, no_episode
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce
 from dmotion_bench.storage.imports.imported_actions import pace_advice
 from dmotion_bench.storage.imports.importing import import_recordings
@@ -79,6 +79,13 @@ def test_steps_are_even_enough() -> None:
     assert told(at(30), at(60), at(29.97), at(45), at(8), at(10), rounded_to_ms, jittering, lossy, variable) == ()
     (piece,) = resample(at(45), hz=10, max_gap_s=None, most=1000)
     assert set(np.diff(piece.frames)) == {4, 5}  # within a third
+
+
+def test_what_is_told_of_a_recording_does_not_hide_why_there_is_no_episode() -> None:
+    short = Survey(camera="c", height=8, width=8, segments=[Segment(times_ns=at(10, 2))], told=["it blinks."])
+    said = str(no_episode([short, short], ImportOptions()))
+    assert said.endswith("at 10 Hz: the longest recording has 2 of them. it blinks.")
+    assert advice([short], [], 10, 10, ImportOptions()) == ("it blinks.",)
 
 
 def test_gaps_that_end_episodes_are_told_of() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import foxglove
@@ -17,10 +18,12 @@ from storage.foreign import START, raw_image, steady
 
 from dmotion_bench.errors import InvalidSetting, RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.imports.continuous_commands import Reduce
+from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce
+from dmotion_bench.storage.imports.imported_actions import check_pace
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
+from dmotion_bench.storage.imports.timeline import Piece
 
 
 @pytest.mark.slow
@@ -91,6 +94,25 @@ def test_fewer_commands_than_frames(tmp_path: Path) -> None:
     assert len(imported(file, tmp_path / "out", dataclasses.replace(TWIST, hz=4)).states(0).actions) == 7
     once = bag(tmp_path / "once", "geometry_msgs/msg/Twist", [(START, twist(1.0, 0.0))], 20)
     refused(once, "has 1 commands on '/cmd_vel' for 19 steps")
+
+
+@pytest.mark.parametrize(
+    ("rate", "seconds", "said"),
+    [
+        (4, 20, r"has 80 commands on '/a' for 200 steps .* Lower '--hz' to 4, or import the video alone"),
+        (10, 8, r"has 80 .* They come at 10 Hz and are missing for 12 s in all: cut .*, or import the video alone"),
+        (20, 8, r"has 160 .* They come at 20 Hz and are missing for 12 s in all: cut .*, or import the video alone"),
+    ],
+)
+def test_commands_that_end_are_told_from_slow_ones(rate: int, seconds: int, said: str) -> None:
+    """With a lower rate of frames the steps after the last command would lack one as before."""
+    at = np.arange(rate * seconds) * (10**9 // rate)
+    commands = ContinuousCommands(times_ns=at, values=np.ones((len(at), 1)), names=("x",))
+    piece = Piece(frames=np.arange(201), t_ns=np.arange(201) * 10**8)
+    recording = SimpleNamespace(path=Path("a.mcap"), sha256=str)
+    with pytest.raises(RecordingImportError, match=said) as caught:
+        check_pace(recording, commands, [piece], ImportOptions(actions="/a", action_fields=("x",)))
+    assert ("--hz" in str(caught.value)) is (rate < 10)
 
 
 @pytest.mark.slow

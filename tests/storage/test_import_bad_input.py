@@ -90,6 +90,18 @@ def test_an_unknown_encoding(tmp_path: Path) -> None:
     refused(ros_file(tmp_path / "bag", messages), tmp_path, "message 0 on '/camera' has the encoding 'nv21'; known are")
 
 
+def test_messages_of_ros_1_are_told_how_to_be_converted(tmp_path: Path) -> None:
+    """``mcap convert`` keeps them as they are, so that the file looks like one that can be read."""
+    file = tmp_path / "a.mcap"
+    with file.open("wb") as opened:
+        writer = OfficialWriter(opened)
+        writer.start(profile="ros1")
+        channel = writer.register_channel("/c", "ros1", writer.register_schema("sensor_msgs/Image", "ros1msg", b""))
+        writer.add_message(channel, START, b"\0" * 40, START)
+        writer.finish()
+    refused(file, tmp_path, "'/c' carries sensor_msgs/Image written as 'ros1'; .* 'rosbags-convert --src BAG")
+
+
 def test_time_going_backwards(tmp_path: Path) -> None:
     """Too far: all messages would have to wait for the last one."""
     times = steady(6)
@@ -221,6 +233,10 @@ def test_times_that_cannot_be_told_are_refused(good: Path, tmp_path: Path) -> No
         for run in (import_recordings, import_fleet):
             with pytest.raises(InvalidSetting, match=match):
                 run([alone], tmp_path / "out", options)
+
+
+def test_a_device_or_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    refused(Path("/dev/null"), tmp_path, "'/dev/null' is no ordinary file; save what comes out of it")
 
 
 def test_what_is_not_there(tmp_path: Path) -> None:

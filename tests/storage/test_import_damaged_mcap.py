@@ -217,7 +217,7 @@ def test_of_a_picture_of_which_hardly_anything_is_left_the_one_before_is_taken(t
     pictures = [compressed(frame, "jpeg") for frame in video(8)]
     pictures[6] = pictures[6][:left]
     file = foxglove_compressed_file(tmp_path / "a.mcap", pictures, steady(8), "jpeg")
-    refused(file, tmp_path, "message 6 on '/camera'")
+    refused(file, tmp_path, r"message 6 on '/camera' .*; import the others with '--salvage'\.")
     report = import_recordings([file], tmp_path / "salvaged", ImportOptions(size=32, salvage=True))
     frames = Dataset.open(report.path).video(0)
     assert (report.unreadable, len(frames)) == (1, 8)
@@ -231,6 +231,13 @@ def test_where_the_first_picture_is_damaged_there_is_none_to_repeat(tmp_path: Pa
     with pytest.raises(RecordingImportError, match="no whole picture comes before it"):
         import_recordings([file], tmp_path / "out", ImportOptions(size=32, salvage=True))
     assert not (tmp_path / "out").exists()
+
+
+def test_salvage_is_not_said_to_help_where_the_first_picture_is_none(tmp_path: Path) -> None:
+    file = foxglove_compressed_file(tmp_path / "a.mcap", [b"", compressed(video(1)[0], "jpeg")], steady(2), "jpeg")
+    with pytest.raises(RecordingImportError, match=r"message 0 on '/camera' .* 0 bytes are no JPEG") as caught:
+        import_recordings([file], tmp_path / "out", ImportOptions(size=32))
+    assert "--salvage" not in str(caught.value)
 
 
 def test_nothing_can_be_salvaged_of_a_first_chunk_that_is_cut(good: Path, tmp_path: Path) -> None:

@@ -218,6 +218,40 @@ def test_messages_that_were_written_out_of_order_are_sorted_by_their_times(tmp_p
     assert dataset.states(0).actions.tolist() == [number % 3 for number in range(11)]
     half = imported(file, tmp_path / "half", ImportOptions(size=32, hz=5))
     np.testing.assert_array_equal(half.video(0), frames[::2])
+    advice = import_recordings([file], tmp_path / "half/out", ImportOptions(size=32, hz=5)).advice
+    assert any(one.startswith("4 of 12 messages on '/camera' were written after a later one, by") for one in advice)
+
+
+def test_a_clock_that_was_set_back_does_not_mix_pictures_of_two_moments(tmp_path: Path) -> None:
+    """Pictures 6 to 11 were recorded at the times of 3 to 8, and their camera knows better."""
+    frames, taken = video(12), steady(12)
+    logged = [*taken[:6], *(t_ns + 7_000_000 for t_ns in taken[3:9])]
+    messages = [
+        ("/camera", "sensor_msgs/msg/Image", at, ros_image(t_ns, 32, 32, "rgb8", 96, frame.tobytes()))
+        for at, t_ns, frame in zip(logged, taken, frames, strict=True)
+    ]
+    commands = [("/action", "std_msgs/msg/Int32", at + 1, {"data": number}) for number, at in enumerate(logged)]
+    file = ros_file(tmp_path / "bag", [one for pair in zip(messages, commands, strict=True) for one in pair])
+    for options, way_out in (
+        (ImportOptions(size=32), "so the recorder's clock was set back; use '--clock header'."),
+        (ImportOptions(size=32, actions="/action"), "leave '--actions' out and use '--clock header'."),
+    ):
+        with pytest.raises(RecordingImportError, match=r"go back by 0\.193 s at message 6, ") as caught:
+            import_recordings([file], tmp_path / "out", options)
+        assert str(caught.value).endswith(way_out)
+    dataset = imported(file, tmp_path, ImportOptions(size=32, clock=Clock.HEADER))
+    np.testing.assert_array_equal(dataset.video(0), frames)
+
+
+@pytest.mark.parametrize(("robots", "told"), [(("a", "b"), True), (("a", ""), False)])
+def test_two_robots_on_one_topic_are_told_of(tmp_path: Path, robots: tuple[str, str], told: bool) -> None:
+    messages = [
+        ("/c", "sensor_msgs/msg/Image", t, ros_image(t, 32, 32, "rgb8", 96, frame.tobytes(), robots[number % 2]))
+        for number, (t, frame) in enumerate(zip(steady(8), video(8), strict=True))
+    ]
+    advice = import_recordings([ros_file(tmp_path / "bag", messages)], tmp_path / "out", SMALL).advice
+    assert any("several values of 'frame_id' ('a', 'b')" in one for one in advice) is told
+    assert any("frame_id" in one for one in advice) is told
 
 
 def test_many_files_are_one_data_set(tmp_path: Path) -> None:

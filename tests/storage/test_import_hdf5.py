@@ -340,6 +340,16 @@ def test_a_file_cannot_lead_to_another(tmp_path: Path) -> None:
     refused(tmp_path / "virtual.h5", "keeps '/data/demo_0/obs/image' in another file")
 
 
+def test_the_rate_of_another_file_does_not_count(tmp_path: Path) -> None:
+    robomimic(tmp_path / "secret.h5", {"demo_0": video(4)}, control_freq=40)
+    with h5py.File(tmp_path / "linked.h5", "w") as file:
+        file["data"] = h5py.ExternalLink("secret.h5", "/data")
+        file["observations/images/cam_high"] = video(4)
+    report = import_recordings([tmp_path / "linked.h5"], tmp_path / "out", OPTIONS)
+    assert (report.frames, report.source_hz) == (4, OPTIONS.hz)
+    assert any("was assumed" in one for one in report.advice)
+
+
 def test_a_file_that_leads_in_circles(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "a.h5", "w") as file:
         inner = file.create_group("data/demo_0/obs")

@@ -233,13 +233,36 @@ def test_a_damaged_picture(tmp_path: Path) -> None:
     whole = (folder / "img4.png").read_bytes()
     (folder / "img4.png").write_bytes(whole[: len(whole) // 2])
     (folder / "img5.png").write_bytes(b"")
-    refused(folder, r"the picture .*img5.png' has the format 'png', but its 0 bytes are no JPEG, PNG or WebP file")
+    refused(
+        folder,
+        r"the picture .*img5.png' has the format 'png', but its 0 bytes are no .* WebP file; import .* '--salvage'\.",
+    )
     (folder / "img5.png").write_bytes(whole)
     refused(folder, r"the picture .*img4.png' is a damaged PNG file.*; import the others with '--salvage'")
     (folder / "img5.png").write_bytes(b"")
     report, dataset = imported(folder, ImportOptions(size=32, salvage=True))
     assert report.unreadable == 2
     np.testing.assert_array_equal(dataset.video(0), frames[[0, 1, 2, 3, 3, 3]])
+
+
+@pytest.mark.parametrize("left", [0, 100])
+def test_the_first_picture_of_a_folder_has_none_before_it(tmp_path: Path, left: int) -> None:
+    for episode in range(2):
+        fill(tmp_path / f"set/{episode}", video(5, seed=episode))
+    first = tmp_path / "set/1/img0.png"
+    first.write_bytes(first.read_bytes()[:left])
+    with pytest.raises(RecordingImportError, match=r"set/1/img0.png' ") as caught:
+        imported(tmp_path / "set")
+    assert "--salvage" not in str(caught.value)
+    match = "img0.png' .*, and no whole picture comes before it in its folder; move it elsewhere"
+    refused(tmp_path / "set", match, ImportOptions(size=32, salvage=True))
+
+
+def test_a_link_to_a_device_is_no_picture(tmp_path: Path) -> None:
+    """/dev/zero would be read until the memory is full."""
+    folder = fill(tmp_path / "run", video(5))
+    (folder / "img5.png").symlink_to("/dev/null")
+    refused(folder, "img5.png' is no ordinary file; import the others with '--salvage'")
 
 
 def test_a_picture_bomb_is_not_unpacked(tmp_path: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import random
 import shutil
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -117,6 +118,15 @@ def test_an_import_of_a_video_file(tmp_path: Path) -> None:
     assert (report.source_height, report.source_width) == (48, 64)
     assert dataset.spec.actions is None
     assert import_recordings([tmp_path / "a.mp4"], tmp_path / "out", OPTIONS).frames == report.frames
+
+
+@pytest.mark.parametrize(("aspect", "said"), [(Fraction(4, 3), True), (Fraction(1), False), (None, False)])
+def test_pixels_that_are_not_square_are_told_of(tmp_path: Path, aspect: Fraction | None, said: bool) -> None:
+    file = video_file(tmp_path / "a.mp4", moving(2), pixel_aspect=aspect)
+    hints = recording(file).survey().told
+    assert ["a.mp4' are not square (4:3), and" in hint for hint in hints] == [True] * said
+    sentence = refused(file, tmp_path, "the longest recording has 2 of them")  # which has nothing to do with it
+    assert ("not square" in sentence) is said
 
 
 def test_the_suffix_does_not_decide(tmp_path: Path) -> None:

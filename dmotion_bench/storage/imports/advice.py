@@ -29,6 +29,7 @@ def no_episode(surveys: Sequence[Survey], options: ImportOptions, told: Sequence
         told: Sentences about what was not imported.
     """
     pictures = sum(survey.pictures for survey in surveys)
+    told = [*told, *_told_of(surveys)]
     return RecordingImportError(
         f"no episode of at least {options.min_frames} frames comes out of {pictures:,} pictures at {options.hz:g} Hz: "
         f"{' '.join([_reason(surveys, options), *told])}"
@@ -53,7 +54,7 @@ def advice(
         options: How it was imported.
         told: Sentences about what was not imported.
     """
-    sentences = [*told, *dict.fromkeys(hint for survey in surveys for hint in survey.hints)]
+    sentences = [*told, *_told_of(surveys), *dict.fromkeys(hint for survey in surveys for hint in survey.hints)]
     sentences += [*_assumed_rate(surveys, options), *_uneven_steps(surveys, options), *_gaps(surveys, options)]
     if episodes < FEWEST_EPISODES:
         length = length_for(
@@ -75,6 +76,11 @@ def advice(
             "is trained on. Import more recordings for an honest test."
         )
     return tuple(sentences)
+
+
+def _told_of(surveys: Sequence[Survey]) -> list[str]:
+    """What is told of the recordings, each sentence once."""
+    return list(dict.fromkeys(sentence for survey in surveys for sentence in survey.told))
 
 
 def _assumed_rate(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:

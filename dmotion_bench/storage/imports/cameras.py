@@ -14,6 +14,7 @@ from typing import Any
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.imports.passed_over import CONVERTER
 
 _HEADER = """std_msgs/Header header
 {fields}
@@ -76,6 +77,7 @@ class RawPicture:
     Attributes:
         stamp_ns: When the camera says it took it, 0 where it does not.
         step: Bytes of a row.
+        frame_id: What the camera calls its place, empty where it does not.
     """
 
     stamp_ns: int
@@ -85,6 +87,7 @@ class RawPicture:
     step: int
     big_endian: bool
     data: bytes
+    frame_id: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +97,7 @@ class CompressedPicture:
     stamp_ns: int
     format: str
     data: bytes
+    frame_id: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +107,7 @@ class VideoPacket:
     stamp_ns: int
     codec: str
     data: bytes
+    frame_id: str = ""
 
 
 Picture = RawPicture | CompressedPicture | VideoPacket
@@ -163,9 +168,10 @@ def message_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
     elif topic.message_encoding == "json":
         decode = json.loads
     else:
+        way_out = f" A ROS 1 bag itself is converted with {CONVERTER}." if topic.message_encoding == "ros1" else ""
         raise RecordingImportError(
             f"{topic.topic!r} carries {topic.schema_name} written as {topic.message_encoding[:40]!r}; "
-            "known are 'cdr' for ROS 2 messages, 'protobuf' for foxglove's, and 'json' for either."
+            f"known are 'cdr' for ROS 2 messages, 'protobuf' for foxglove's, and 'json' for either.{way_out}"
         )
     return guarded(decode, name)
 
@@ -227,6 +233,7 @@ def _raw(message: Any) -> RawPicture:
         step=_count(message, "step"),
         big_endian=bool(_field(message, "is_bigendian", False)),
         data=_bytes(message),
+        frame_id=_frame_id(message),
     )
 
 
@@ -234,8 +241,8 @@ def _compressed(message: Any) -> CompressedPicture | VideoPacket:
     form = _text(message, "format")
     codec = codec_of(form)
     if codec is not None:
-        return VideoPacket(stamp_ns=_stamp(message), codec=codec, data=_bytes(message))
-    return CompressedPicture(stamp_ns=_stamp(message), format=form, data=_bytes(message))
+        return VideoPacket(stamp_ns=_stamp(message), codec=codec, data=_bytes(message), frame_id=_frame_id(message))
+    return CompressedPicture(stamp_ns=_stamp(message), format=form, data=_bytes(message), frame_id=_frame_id(message))
 
 
 def _video(message: Any) -> VideoPacket:
@@ -243,7 +250,7 @@ def _video(message: Any) -> VideoPacket:
     codec = codec_of(form)
     if codec is None:
         raise ValueError(f"its format is {form[:40]!r}; known are {', '.join(_CODECS)}")
-    return VideoPacket(stamp_ns=_stamp(message), codec=codec, data=_bytes(message))
+    return VideoPacket(stamp_ns=_stamp(message), codec=codec, data=_bytes(message), frame_id=_frame_id(message))
 
 
 _MISSING = object()
@@ -288,6 +295,12 @@ def _stamp(message: Any) -> int:
     if not isinstance(seconds, int) or not isinstance(nanoseconds, int):
         raise ValueError("its time stamp is no time")  # noqa: TRY004 (of the file's content, not of a caller)
     return max(0, seconds * 1_000_000_000 + nanoseconds)
+
+
+def _frame_id(message: Any) -> str:
+    """What the camera calls its place, empty where it does not."""
+    told = _field(message, "frame_id", None) or _field(_field(message, "header", None), "frame_id", None)
+    return told if isinstance(told, str) else ""
 
 
 def _has(message: Any, name: str) -> bool:

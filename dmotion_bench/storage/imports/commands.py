@@ -160,7 +160,7 @@ def ordered_names(recordings: Sequence[DiscreteCommands], most: int) -> tuple[st
     """
     given = list(dict.fromkeys(name for commands in recordings for name in commands.vocabulary))
     others = {name for commands in recordings for name in set(commands.names)}.difference(given)
-    distinct = [*given, *sorted(others, key=lambda name: (0, int(name), "") if _is_integer(name) else (1, 0, name))]
+    distinct = [*given, *sorted(others, key=lambda name: (0, int(name), name) if _is_integer(name) else (1, 0, name))]
     if len(distinct) > most:
         raise RecordingImportError(
             f"the actions take {len(distinct)} different values, more than the {most} that choices can have; bin them "

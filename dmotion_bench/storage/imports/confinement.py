@@ -226,6 +226,7 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         "width": survey.width,
         "segments": segments,
         "hints": list(survey.hints),
+        "told": list(survey.told),
         "skipped": list(survey.skipped),
         "is_rate_assumed": survey.is_rate_assumed,
     }
@@ -283,6 +284,7 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
         width=head["width"],
         segments=segments,
         hints=head["hints"],
+        told=head["told"],
         skipped=[(_printable(name), _printable(why)) for name, why in head["skipped"]],
         is_rate_assumed=head["is_rate_assumed"],
     )

@@ -301,8 +301,11 @@ def _meant(given: Sequence[str], asked: str | None) -> list[str]:
 
 def _control_frequency(file: h5py.File) -> float | None:
     """Steps a second of the environment, as robomimic keeps it beside the demonstrations."""
+    data = own(file, DEMONSTRATIONS)
+    if data is None:
+        return None
     try:
-        told = json.loads(file[DEMONSTRATIONS].attrs["env_args"])["env_kwargs"]["control_freq"]
+        told = json.loads(data.attrs["env_args"])["env_kwargs"]["control_freq"]
     except (*ERRORS, RecursionError):
         return None
     return float(told) if isinstance(told, int | float) and 0.001 <= told <= 10_000 else None

@@ -99,9 +99,15 @@ def check_pace(recording: Named, commands: Commands, pieces: Sequence[Piece], op
     if count >= steps - steps // LOST:
         return
     usual = interval_ns(commands.times_ns)
-    fastest = min(options.hz * count / steps, 1e9 / usual if usual else options.hz)
-    slower = math.floor(100 * fastest) / 100
+    rate = 1e9 / usual if usual else 0.0
+    slower = math.floor(100 * min(options.hz * count / steps, rate or options.hz)) / 100
     slow_down = f"Lower '--hz' to {slower:g}, or import" if slower >= SLOWEST_HZ else "Import"
+    if rate >= options.hz * (1 - 1 / LOST):  # they pause or end: with fewer frames as many of them would lack one
+        missing_s = steps / options.hz - count / rate
+        slow_down = (
+            f"They come at {rate:.3g} Hz and are missing for {missing_s:.3g} s in all: cut the recording to where "
+            "there are some, or import"
+        )
     raise RecordingImportError(
         f"{str(recording.path)!r} has {count:,} commands on {options.actions!r} for {steps:,} steps between frames at "
         f"{options.hz:g} Hz; continuous actions need one for each step. {slow_down} the video alone by leaving "

@@ -21,8 +21,11 @@ from dmotion_bench.storage.imports.mcap_topics import camera_topic, is_stream, n
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 from dmotion_bench.storage.imports.recording import Clock, Segment, Survey
 from dmotion_bench.storage.imports.timeline import irregularity
+from dmotion_bench.wording import shown
 
 UNEVEN = 0.5  # of intervals: jitter is less, pauses and bursts are more
+MOST_SENDERS = 4  # that are told of
+OTHERS = "import the others with '--salvage'"  # of a damaged picture that is not the first
 MOST_APART = 1.0  # [s] between a picture and its recording: a camera and a network take less, other clocks differ more
 Decoded = TypeVar("Decoded")
 Size = tuple[int, int]
@@ -58,6 +61,7 @@ class McapRecording:
         self.path, self._clock, self._limits, self._salvage = path, clock, limits, salvage
         self.unreadable, self._fields = 0, tuple(action_fields)
         self._places: Int64[np.ndarray, " n"] | None = None  # of the messages in time, where the file has another order
+        self._told_of_order: list[str] = []
         self._size: Size | None = None  # of the last picture whose head could be read
         self._file = McapFile(path, limits=limits, salvage=salvage)
         topics = self._file.topics()
@@ -87,25 +91,28 @@ class McapRecording:
         Raises:
             RecordingImportError: As the file deserves it.
         """
-        times, others, shown, lengths = array("q"), array("q"), array("q"), array("q")
+        times, others, visible, lengths = array("q"), array("q"), array("q"), array("q")
         commands = self._commands_reader()
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
         size: Size | None = None
+        senders: dict[str, None] = {}
 
         def look(found: Iterable[tuple[int, Size]]) -> None:
             nonlocal size
             for number, one in found:
                 size = self._same_size(one, size, number)
-                shown.append(number)
+                visible.append(number)
 
         for message in self._file.messages(self._camera, self._actions or self._camera):
             if message.topic.topic == self._camera:
                 picture = self._decode(message, len(times), decoders, picture_decoder)
                 times.append(self._time(picture, message, len(times)))
+                if len(senders) < MOST_SENDERS:
+                    senders[picture.frame_id] = None
                 lengths.append(len(message.data))
                 others.append(message.log_ns if self._clock is Clock.HEADER else min(picture.stamp_ns, LATEST))
                 look(self._look(picture, len(times) - 1))
-                progress(len(shown))
+                progress(len(visible))
             elif commands is not None:
                 commands.add(message.log_ns, self._decode(message, commands.count, decoders, commands.decoder))
         look(self._look_on())
@@ -118,10 +125,10 @@ class McapRecording:
             raise RecordingImportError(f"{str(self.path)!r}: no message on {self._camera!r} gives a picture.")
         if commands is not None and not commands.count:
             raise RecordingImportError(f"{str(self.path)!r} has no actions: no message is on {self._actions!r}.")
-        taken, logged = (np.array(clock, np.int64)[np.array(shown)] for clock in (times, others))
+        taken, logged = (np.array(clock, np.int64)[np.array(visible)] for clock in (times, others))
         if self._clock is Clock.LOG:
             taken, logged = self._sorted(taken, logged, np.array(lengths))
-        self._check_order(taken, np.array(shown), self._camera)
+        self._check_order(taken, np.array(visible), self._camera)
         given = None if commands is None else self._collected(commands)
         if given is not None:
             self._check_clocks(taken, logged)
@@ -130,13 +137,14 @@ class McapRecording:
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given)],
-            hints=[*self._clock_hints(taken, logged), *self._other_messages(commands)],
+            hints=self._clock_hints(taken, logged),
+            told=[*self._several(senders), *self._told_of_order, *self._other_messages(commands)],
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Unpack the wanted frames and no others; where damage is to be lived with, a damaged one repeats the last."""
         decoders: dict[TopicInfo, Callable[[bytes], Any]] = {}
-        shown: UInt8[np.ndarray, "h w 3"] | None = None
+        whole: UInt8[np.ndarray, "h w 3"] | None = None
         numbers = iter(wanted.tolist())
         number = next(numbers, None)
         for count, message in self._camera_messages():
@@ -146,15 +154,15 @@ class McapRecording:
                 continue
             picture = self._decode(message, count, decoders, picture_decoder)
             try:
-                shown = to_rgb(picture, self._limits)
+                whole = to_rgb(picture, self._limits)
             except BadPicture as error:
                 if not self._salvage:
-                    way_out = "; import the others with '--salvage'" if shown is not None else ""
+                    way_out = f"; {OTHERS}" if whole is not None else ""
                     raise self._bad(count, self._camera, f"{error}{way_out}") from error
-                if shown is None:
+                if whole is None:
                     raise self._bad(count, self._camera, f"{error}, and no whole picture comes before it") from error
                 self.unreadable += 1
-            yield shown
+            yield whole
             number = next(numbers, None)
         if number is not None:
             raise self._changed()
@@ -164,7 +172,9 @@ class McapRecording:
         try:
             self._size = size_of(picture, self._limits)
         except BadPicture as error:
-            if not self._salvage or self._size is None:
+            if not self._salvage and self._size is not None:
+                raise self._bad(number, self._camera, f"{error}; {OTHERS}") from error
+            if self._size is None:
                 raise self._bad(number, self._camera, error) from error
         yield number, self._size
 
@@ -190,6 +200,16 @@ class McapRecording:
         joints = ", ".join(self._fields)
         return [f"{commands.others:,} messages on {self._actions!r} hold none of the joints {joints} and do not count."]
 
+    def _several(self, senders: Iterable[str]) -> list[str]:
+        """What is told of a topic on which several cameras may send, as two robots do without namespaces."""
+        named = [shown(one) for one in senders if one]
+        if len(named) < 2:
+            return []
+        return [
+            f"the pictures on {self._camera!r} have several values of 'frame_id' ({', '.join(named)}): if several "
+            "cameras send there, their pictures alternate in the episodes. Record each on a topic of its own."
+        ]
+
     def _camera_messages(self) -> Iterator[tuple[int, RawMessage]]:
         """The camera's messages in the order of their times, each with its place; some may wait for earlier ones."""
         messages = self._file.messages(self._camera)
@@ -214,10 +234,17 @@ class McapRecording:
         Args:
             times_ns, others_ns: Of each message, in the order of the file.
             lengths: Of the messages [bytes].
+
+        Raises:
+            RecordingImportError: The clock was set back: in its order, pictures of two moments would alternate.
         """
-        self._places = None
-        if not self._may_sort or not (np.diff(times_ns) < 0).any():
+        self._places, self._told_of_order = None, []
+        intervals = np.diff(times_ns)
+        if not self._may_sort or not (intervals < 0).any():
             return times_ns, others_ns
+        furthest = int(intervals.argmin())
+        if others_ns[0] and (np.diff(others_ns) > 0).all() and -intervals[furthest] > np.median(intervals):
+            raise self._set_back(furthest, -int(intervals[furthest]))
         order = np.argsort(times_ns, kind="stable")
         last_before = np.maximum.accumulate(order)  # what has to be read before a message, in time, can be given
         given = np.searchsorted(last_before, np.arange(len(order)), side="right")
@@ -225,7 +252,23 @@ class McapRecording:
         if waiting.max() > self._limits.message_bytes:
             return times_ns, others_ns
         self._places = np.argsort(order)
+        self._told_of_order = [
+            f"{np.count_nonzero(intervals < 0):,} of {len(order):,} messages on {self._camera!r} were written after a "
+            f"later one, by up to {-intervals[furthest] / 1e9:.3g} s, and are sorted by the times of recording. If the "
+            "clock was set back while they were recorded, pictures of two moments alternate there: cut the file."
+        ]
         return times_ns[order], others_ns[order]
+
+    def _set_back(self, number: int, back_ns: int) -> RecordingImportError:
+        """The error for a clock that goes back while the pictures' own time stamps go on."""
+        way_out = "use '--clock header'"
+        if self._actions is not None:
+            way_out = "its actions cannot be told from others: leave '--actions' out and use '--clock header'"
+        return RecordingImportError(
+            f"{str(self.path)!r}: the times of recording on {self._camera!r} go back by {back_ns / 1e9:.3f} s at "
+            f"message {number + 1}, and the camera's own time stamps go on, so the recorder's clock was set back; "
+            f"{way_out}."
+        )
 
     def _decode(
         self,

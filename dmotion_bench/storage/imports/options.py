@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -78,12 +79,14 @@ class ImportOptions:
             ("seed", 0, 2**63 - 1),
         ):
             value = getattr(self, name)
-            if value is None:
+            if value is None and name == "source_hz":
                 continue
-            if not low <= value <= high:
+            if value is None or not low <= value <= high:
                 raise InvalidSetting(f"{name} is {value}; allowed is {low} ... {high}.")
-        if self.max_gap_s is not None and not self.max_gap_s > 0:
-            raise InvalidSetting(f"max_gap_s is {self.max_gap_s}; a gap is longer than 0 s.")
+        if self.max_gap_s is not None and not 0 < self.max_gap_s < math.inf:
+            raise InvalidSetting(
+                f"max_gap_s is {self.max_gap_s}; a gap is longer than 0 s, and no recording is endless."
+            )
         if self.min_frames > self.frames_per_episode:
             raise InvalidSetting(
                 f"min_frames is {self.min_frames}, more than the {self.frames_per_episode} frames_per_episode."

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import hashlib
 import re
+import stat
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -159,9 +160,9 @@ class PictureFolder:
         first: tuple[Path, Shape] | None = None
         segments, count = [], 0
         for folder in self._folders:
-            files = self._in(folder)
+            files, shape = self._in(folder), None
             for file in files:
-                shape = self._shape(file, first[1] if first is not None and self._salvage else None)
+                shape = self._shape(file, shape)
                 first = first or (file, shape)
                 if shape != first[1]:
                     raise self._mixed(*first, file, shape)
@@ -194,8 +195,7 @@ class PictureFolder:
                 shown = to_rgb(self._read(file, None), self._limits)
             except BadPicture as error:
                 if not self._salvage or shown is None:
-                    way_out = "" if self._salvage else "; import the others with '--salvage'"
-                    raise RecordingImportError(f"the picture {str(file)!r} {error}{way_out}.") from error
+                    raise self._damaged(file, error, is_first=shown is None) from error
                 self.unreadable += 1
             yield shown
 
@@ -237,21 +237,31 @@ class PictureFolder:
             f"{str(picture)!r} is not. Depth is no picture; {way_out}"
         )
 
-    def _shape(self, file: Path, otherwise: Shape | None) -> Shape:
-        """What its head says; ``otherwise`` for a picture that is damaged, unless that is None."""
+    def _damaged(self, file: Path, error: BadPicture, *, is_first: bool) -> RecordingImportError:
+        """The error for a picture in whose place none can be taken, or none is to be."""
+        way_out = "" if is_first else "; import the others with '--salvage'"
+        if self._salvage:
+            way_out = ", and no whole picture comes before it in its folder; move it elsewhere"
+        return RecordingImportError(f"the picture {str(file)!r} {error}{way_out}.")
+
+    def _shape(self, file: Path, before: Shape | None) -> Shape:
+        """What its head says; of a picture that is damaged, where that is to be lived with, that of the one before."""
         try:
             try:
                 return shape_of(self._read(file, _HEAD), self._limits)
             except BadPicture:
                 return shape_of(self._read(file, None), self._limits)
         except BadPicture as error:
-            if otherwise is not None:
-                return otherwise
-            raise RecordingImportError(f"the picture {str(file)!r} {error}.") from error
+            if before is not None and self._salvage:
+                return before
+            raise self._damaged(file, error, is_first=before is None) from error
 
     def _read(self, file: Path, most: int | None) -> CompressedPicture:
         try:
-            if file.stat().st_size > self._limits.message_bytes:
+            facts = file.stat()
+            if not stat.S_ISREG(facts.st_mode):  # a link may lead to a pipe, or to a device that never ends
+                raise BadPicture("is no ordinary file")
+            if facts.st_size > self._limits.message_bytes:
                 raise BadPicture(f"is a file of more than {self._limits.message_bytes >> 20} MiB")
             with file.open("rb") as opened:
                 return CompressedPicture(stamp_ns=0, format=file.suffix[1:], data=opened.read(most))

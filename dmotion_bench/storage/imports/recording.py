@@ -47,7 +47,9 @@ class Survey:
         camera: The topic or key that the pictures are from.
         height, width: Of every picture [px].
         segments: At least one, each with at least one frame.
-        hints: Sentences about a better way to import the recording, for whoever asked for this one.
+        hints: Sentences about a better way to import the recording, for whoever asked for this one. They say why no
+            episode comes out of it, if none does.
+        told: Sentences about what is in the recording.
         is_deep: Whether the pictures are files in grey with 16 bits a pixel, as depth is stored.
         skipped: Segments that were left out because they are damaged, by their names, each with the reason.
         is_rate_assumed: Whether neither the recording nor the user says how many pictures a second there are.
@@ -58,6 +60,7 @@ class Survey:
     width: int
     segments: Sequence[Segment]
     hints: Sequence[str] = ()
+    told: Sequence[str] = ()
     is_deep: bool = False
     skipped: Sequence[tuple[str, str]] = ()
     is_rate_assumed: bool = False

@@ -71,6 +71,10 @@ def kind_of(file: Path) -> Kind:
     """
     from dmotion_bench.storage.video.file import container_of
 
+    if not file.is_file():  # it would be waited for, and can be read once
+        raise RecordingImportError(
+            f"{str(file)!r} is no ordinary file; save what comes out of it, and import that file."
+        )
     try:
         with file.open("rb") as opened:
             start = opened.read(64)

@@ -64,7 +64,13 @@ class VideoRecording:
                 progress(len(times))
             self.unreadable = video.damaged
             segment = Segment(times_ns=self._times(video, times, complete))
-            return Survey(camera=self._camera or "video", height=video.height, width=video.width, segments=[segment])
+            return Survey(
+                camera=self._camera or "video",
+                height=video.height,
+                width=video.width,
+                segments=[segment],
+                told=self._told_of_shape(video),
+            )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Decode the file up to the last wanted picture."""
@@ -80,6 +86,16 @@ class VideoRecording:
                     if number is None:
                         return
         raise RecordingImportError(f"{str(self.path)!r} changed while it was imported; import it again.")
+
+    def _told_of_shape(self, video: VideoFile) -> list[str]:
+        """What is told of pictures that players show wider or narrower than they are stored."""
+        if video.pixel_aspect == 1:
+            return []
+        return [
+            f"the pixels of {str(self.path)!r} are not square ({video.pixel_aspect.numerator}:"
+            f"{video.pixel_aspect.denominator}), and its pictures are imported as they are stored, out of proportion; "
+            "'ffmpeg -i IN -vf scale=iw*sar:ih,setsar=1 OUT.mkv' makes a video that is not."
+        ]
 
     def _opened(self) -> VideoFile:
         """The file; one that is cut off is only said to be salvageable if it is.

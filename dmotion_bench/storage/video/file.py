@@ -63,6 +63,7 @@ class VideoFile:
         height, width: Of the first picture as it is shown [px].
         has_times: Whether the container keeps the time of each picture.
         rate: Pictures a second that the file declares; None where it does not.
+        pixel_aspect: Width to height of a pixel as it is meant to be shown; 1 where the file does not say.
 
     Raises:
         RecordingTruncated: The file ends before it should.
@@ -89,6 +90,7 @@ class VideoFile:
             self._unit = self._stream.time_base or Fraction(1, 1000)
             rate = self._stream.average_rate or self._stream.guessed_rate
             self.rate = float(rate) if rate is not None and 0.001 <= rate <= 10_000 else None
+            self.pixel_aspect = self._stream.sample_aspect_ratio or Fraction(1)
             self._decoder = self._new_decoder(midway=False)
             self._coming = self._decoded()
             self._first = next(self._coming, None)

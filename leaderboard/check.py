@@ -284,7 +284,7 @@ def _against_tables(check: Findings) -> None:
         check.figures = len(ours.figures)
         check.remarks.append("published: held against the table, not scored")
         return
-    check.remarks.append("published elsewhere: there is nothing to hold it against")
+    check.missing.append("published elsewhere: there is nothing to hold it against")
 
 
 def _settings(check: Findings) -> ScoreSettings | None:

@@ -11,7 +11,7 @@ References that take seconds are scored anew as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -41,6 +41,9 @@ METRIC: Final = "control"
 """As settings name it; where pictures judge its samples have another name (``samples_of``)."""
 FIGURES: Final = "control_"
 """How the names of control's figures and settings begin."""
+
+PUBLISHED: Final = "paper"
+"""The reference whose figures were printed elsewhere, so that nobody's actions led to them."""
 
 NOTHING: Final = "none"
 """In place of a continuous action where none was taken."""
@@ -119,6 +122,7 @@ def check_control(
     if METRIC not in content["settings"]["metrics"]:
         if content[METRIC]:
             check.wrong.append("control: the entry holds actions, and says that control was not scored")
+        _expect_none_besides(check, ())
         return
     scoring = _scoring(check)
     if scoring is None:
@@ -150,10 +154,18 @@ def check_control(
         found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
     else:
         check.remarks.append("control: the simulator repeated the actions, nothing was planned anew")
+    _expect_none_besides(check, (MODEL, *content[METRIC], *(found if anew else QUICK)))
     for name, table in found.items():
         _same_figures(check, name, table)
         if samples is not None:
             _same_rows(check, name, _of(samples_of(samples, (METRIC,)), name, "predictor"), table)
+
+
+def _expect_none_besides(check: Findings, known: Collection[str]) -> None:
+    """Add a finding for each predictor with figures of control that no actions lead to, but for some known ones."""
+    for name, own in ((MODEL, check.entry.figures), *check.entry.content["reference"].items()):
+        if name not in (*known, PUBLISHED) and any(figure.startswith(FIGURES) for figure in own):
+            check.wrong.append(f"control of {name}: the entry has figures, and no actions that lead to them")
 
 
 def _scoring(check: Findings) -> ControlScoring | None:

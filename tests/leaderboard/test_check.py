@@ -374,6 +374,24 @@ def test_pictures_of_chosen_steps_are_found(
     assert any(finding.startswith("pictures: of other steps") for finding in verdict.findings)
 
 
+def test_a_forged_picture_before_the_true_one_of_its_step_is_found(
+    workspace: Workspace, sound: Entry, changed: Changed, shared: SharedSamples
+) -> None:
+    other = dict(sound.pictures[0]) | {"truth": sound.pictures[0]["current"]}
+
+    verdict = check_entry(changed(pictures=[other, *sound.pictures]), workspace, shared=shared)
+
+    assert verdict.findings == ("pictures: a step stands there twice",)
+
+
+def test_the_model_is_no_reference_beside_itself(workspace: Workspace, sound: Entry, changed: Changed) -> None:
+    reference = dict(sound.content["reference"]) | {"model": {"mse": dict(sound.figures["mse"]) | {"mean": 1e6}}}
+
+    verdict = check_entry(changed(reference=reference), workspace, QUICK)
+
+    assert verdict.findings == ("reference.model: the model is no reference",)
+
+
 def test_published_rows_are_held_against_the_table() -> None:
     row = published_results()[0]
     entry = published_entry(row, label_count(row.environment, row.labels))
@@ -384,8 +402,9 @@ def test_published_rows_are_held_against_the_table() -> None:
     assert not check_entry(Entry(dict(entry.content) | {"figures": figures}), nowhere).holds
     assert not check_entry(Entry(dict(entry.content) | {"source": "me"}), nowhere).holds
     other = check_entry(Entry(dict(entry.content) | {"model": "another"}), nowhere)
-    assert other.holds
-    assert "nothing to hold it against" in other.remarks[0]
+    assert not other.holds  # nobody can tell
+    assert not other.findings
+    assert "nothing to hold it against" in other.missing[0]
 
 
 def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entry, tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import published_results
 from leaderboard import planners
 from leaderboard.board import make_boards
@@ -227,6 +228,50 @@ def test_of_each_entry_the_page_says_what_is_not_as_usual(sound: Entry, changed:
         assert ("<dt>without</dt><dd>resamples</dd>" in own) == (entry is other)
     assert "None" not in "".join(re.findall(r"<dd>.*?</dd>", page))
     assert "control objective" not in page
+
+
+def test_what_most_entries_were_trained_on_is_not_said_of_another_one(sound: Entry, changed: Changed) -> None:
+    elsewhere = dict(sound.content["dataset"]) | {"trained_on": {"name": "far", "fingerprint": "f" * 64}}
+    remarks = {"gain": "64 sequences"}
+    alike = [
+        changed(run=f"dmotion-s{seed}", seed=seed, weights=f"{seed}" * 64, dataset=elsewhere, remarks=remarks)
+        for seed in (1, 2)
+    ]
+    page = make_page([*alike, changed(run="another", seed=7, weights="7" * 64, remarks={})])
+    _, usual, *folded = page.split('<details class="provenance"')
+
+    assert "<dt>trained on</dt>" in usual
+    assert "<dt>gain</dt>" in usual
+    for own in folded:
+        assert ("<dt>without</dt><dd>trained on, gain</dd>" in own) == ("another" in own)
+
+
+def test_a_picture_that_cannot_be_read_is_named_with_its_file(changed: Changed, sound: Entry) -> None:
+    spoilt = changed(pictures=[dict(sound.pictures[0]) | {"predicted": "A" * 60}])
+
+    with pytest.raises(EntryInvalid, match=rf"{spoilt.slug}\.json cannot be shown: a picture .* it is no PNG"):
+        make_page([spoilt])
+
+
+@pytest.mark.parametrize(("copied", "all_labels"), [(0.0, 0.1), (2.0, 0.0)])
+def test_label_curves_without_any_error_to_compare_with_are_left_out_of_ratios(
+    changed: Changed, sound: Entry, copied: float, all_labels: float
+) -> None:
+    """Of a data set in which nothing moves copying has no error; a model may have none, either."""
+
+    def entry(labels: str, count: int, error: float) -> Entry:
+        run = f"dmotion-grid_world-tiny-{labels.replace('%', 'pct')}-s0"
+        reference = copy.deepcopy(sound.content["reference"])
+        reference["copy_last"]["mse"]["mean"] = copied
+        figures = dict(sound.figures) | {"mse": dict(sound.figures["mse"]) | {"mean": error}}
+        asked = {"asked": labels, "given": {}, "total": count}
+        return changed(run=run, labels=asked, figures=figures, reference=reference)
+
+    page = make_page([entry("4", 4, 1.0), entry("16", 16, 0.5), entry("100%", 100, all_labels)])
+
+    assert "Label efficiency, MSE" in page
+    assert ("Worth of labels" in page) == (all_labels > 0)
+    assert ("Label efficiency against copying" in page) == (copied > 0)
 
 
 def test_the_page_says_what_each_model_is_and_of_which_figures_more_is_better(sound: Entry) -> None:

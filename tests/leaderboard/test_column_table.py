@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -319,6 +320,9 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
     assert row.startswith("| dmotion | 4 (1 each) | 3 / 1 | 25 |")
     assert "tasks, 3 trainings" in page
     assert "tasks, one training" in page
+    sortable = re.findall(r'<(?:td|th scope="row")( data-value="[^"]+")?>(?!</td>)', page.partition("<tbody>")[2])
+    assert len(sortable) >= 5 * 2  # cells that say something, of two models, the oracle and idle
+    assert all(sortable)
 
 
 def test_of_single_trainings_the_table_does_not_say_which_difference_it_can_show(

@@ -23,7 +23,7 @@ from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import HasScript
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import NO_ACTION, Agent, Decision, SimulatorAgent, known_actions
-from dmotion_bench.planning.columns import COLUMNS, TASKS, is_test
+from dmotion_bench.planning.columns import TASKS, is_test
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
@@ -180,14 +180,8 @@ def _scoring(check: Findings) -> ControlScoring | None:
         "objective_set": _are_settings,
         "seed": lambda value: type(value) is int and value >= 0,
         "group": lambda value: type(value) is int and 1 <= value <= MOST_GROUP,
-        "column": lambda value: value is None or value in COLUMNS,
     }
-    missing = {FIGURES + "column": None}  # in reports whose control no column planned
-    wrong = [
-        FIGURES + name
-        for name, is_fine in allowed.items()
-        if not is_fine(given.get(FIGURES + name, missing.get(FIGURES + name, ())))
-    ]
+    wrong = [FIGURES + name for name, is_fine in allowed.items() if not is_fine(given.get(FIGURES + name, ()))]
     if wrong:
         check.wrong += [f"settings.{name} is {short(given.get(name))}, which cannot be" for name in wrong]
         return None

@@ -160,7 +160,7 @@ def _is_whole(figures: Mapping[str, Any], figure: str) -> bool:
 
 
 def _tasks(entry: Entry, figure: str) -> int:
-    return int(entry.figures[figure]["n"])
+    return int(entry.figures[figure]["n"] or 0)
 
 
 def _last(entry: Entry) -> int:

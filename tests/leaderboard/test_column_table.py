@@ -315,12 +315,13 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
     assert f"| {mean} (" in lines
     assert f"Generic: differences below {rounded(board.control.detectable['generic'])} between" in lines
     assert "are too small for this table" in page
-    assert page.count("true simulator as the model") == 1
+    assert page.count(">true simulator as the model<") == 1
     (row,) = (line for line in lines.splitlines() if line.startswith("| dmotion |"))
     assert row.startswith("| dmotion | 4 (1 each) | 3 / 1 | 25 |")
     assert "tasks, 3 trainings" in page
     assert "tasks, one training" in page
-    sortable = re.findall(r'<(?:td|th scope="row")( data-value="[^"]+")?>(?!</td>)', page.partition("<tbody>")[2])
+    said = r"(?!(?:<small></small>)?</td>)"
+    sortable = re.findall(rf'<(?:td|th scope="row")( data-value="[^"]+")?>{said}', page.partition("<tbody>")[2])
     assert len(sortable) >= 5 * 2  # cells that say something, of two models, the oracle and idle
     assert all(sortable)
 

@@ -343,11 +343,11 @@ def test_control_by_a_planner_that_was_tuned_on_the_tasks_says_so_in_the_table_a
     monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": {fingerprint: 7}})
     page = make_page([entry])
     assert ">Tuned here</th>" in page
-    assert "<td>yes</td>" in page
+    assert '<td data-value="yes">yes</td>' in page
     assert "near, tuned here, labels one-shot" in page
     monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": {}})
     page = make_page([entry])
-    assert "<td>no</td>" in page
+    assert '<td data-value="no">no</td>' in page
     assert "near, labels one-shot" in page
 
 

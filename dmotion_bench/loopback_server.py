@@ -8,16 +8,17 @@ oldest when there are too many.
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import socket
 import sys
 import threading
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from typing import Any, Final
+from typing import IO, Any, Final
 
 LOOPBACK: Final = "127.0.0.1"
 NAMES: Final = (LOOPBACK, "localhost")
@@ -101,29 +102,40 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = PATIENCE_S
 
     def do_GET(self) -> None:
-        found = self._head()
-        if found is not None:
-            with found.file.open("rb") as file:
+        with self._head() as file:
+            if file is not None:
                 shutil.copyfileobj(file, self.wfile)
 
     def do_HEAD(self) -> None:
-        self._head()
+        with self._head():
+            pass
 
-    def _head(self) -> Served | None:
-        """Send status and headers; the file that follows, if any."""
+    @contextlib.contextmanager
+    def _head(self) -> Iterator[IO[bytes] | None]:
+        """Send status and headers; the file that follows, if any.
+
+        It is open before its size is said, since another may take its name at any moment.
+        """
         here = {f"{name}:{self.server.port}" for name in NAMES}
         known = self.headers.get("Host") in here
         found = self.server.find(self.path, self.headers.get("Origin", "")) if known else None
-        if found is None or not found.file.is_file():
-            self.send_error(HTTPStatus.NOT_FOUND)
-            return None
-        self.send_response(HTTPStatus.OK)
-        self.send_header("Content-Type", found.kind)
-        self.send_header("Content-Length", str(found.file.stat().st_size))
-        for name, value in found.headers.items():
-            self.send_header(name, value)
-        self.end_headers()
-        return found
+        with contextlib.ExitStack() as stack:
+            try:
+                is_there = found is not None and found.file.is_file()  # a pipe would be waited for
+                file = stack.enter_context(found.file.open("rb")) if found is not None and is_there else None
+            except OSError:  # it may not be read, or is gone meanwhile
+                file = None
+            if found is None or file is None:
+                self.send_error(HTTPStatus.NOT_FOUND)
+                yield None
+                return
+            self.send_response(HTTPStatus.OK)
+            self.send_header("Content-Type", found.kind)
+            self.send_header("Content-Length", str(os.fstat(file.fileno()).st_size))
+            for name, value in found.headers.items():
+                self.send_header(name, value)
+            self.end_headers()
+            yield file
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002 (http.server's naming)
         """Write no log of requests."""

@@ -15,7 +15,7 @@ from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.label_table import label_lines
-from leaderboard.markdown import WIDTH, code, plain, table
+from leaderboard.markdown import WIDTH, code, paragraph, plain, table
 from leaderboard.markdown_numbers import TO, between, figure, mean
 from leaderboard.planners import tuned_share
 from leaderboard.row import Row, each
@@ -109,8 +109,8 @@ def _signed(one: Estimate) -> str:
 
 
 def world(board: Board) -> str:
-    """The environment in words, with its version."""
-    return f"{environment_title(board.environment)} v{board.version}"
+    """The environment in words, with its version, as Markdown."""
+    return f"{plain(environment_title(board.environment))} v{board.version}"
 
 
 def published_section(board: Board) -> list[str]:
@@ -127,8 +127,8 @@ def published_section(board: Board) -> list[str]:
     }
     if last is not None:
         columns["Distance left"] = lambda row: figure(row.figures.get(last))
-    said = textwrap.wrap(" ".join(map(plain, [f"{', '.join(sources)}.", *notes])), WIDTH)
-    return [f"### {environment_title(board.environment)}: as published", "", *said, "", *_lines(columns, rows)]
+    said = paragraph(" ".join([f"{', '.join(sources)}.", *notes]))
+    return [f"### {plain(environment_title(board.environment))}: as published", "", *said, "", *_lines(columns, rows)]
 
 
 def _predictions(board: Board) -> list[str]:

@@ -45,7 +45,7 @@ class Built:
     Attributes:
         page: The page's file.
         measured, published: Entries of each kind.
-        left_out: By the runs' names, why they have no entry.
+        left_out: By the runs' names, why they have no entry; by their files' names, why given entries are not shown.
         doubtful: Entries that were left in the folder although they have the name of one of the runs, as file names:
             they are of an earlier training, or of somebody else's.
     """
@@ -74,7 +74,7 @@ def build(
 
     Args:
         runs: Scored runs; those that are not are left out, and it is said why.
-        given: Entry files, or folders of them.
+        given: Entry files, or folders of them. None replaces what the paper published, or one that is given before.
         out: The folder; made if need be. Entries of earlier scorings of these runs are taken away, other files left
             alone: an entry of other weights may be another author's, whose run has the same name.
         on_progress: Told which run is at work, how many are done, and of how many.
@@ -85,10 +85,15 @@ def build(
     """
     if (out / PAGE).exists() and not (out / SCHEMA).exists():
         raise UsageError(f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'.")
-    found = [published_entry(row, label_count(row.environment, row.labels)) for row in published_results()]
-    found += _given(given)
+    found: dict[str, Entry] = {}
     own: list[Entry] = []
     left_out: dict[str, str] = {}
+    published = [published_entry(row, label_count(row.environment, row.labels)) for row in published_results()]
+    for entry in (*published, *_given(given)):
+        if found.setdefault(entry.slug, entry).content != entry.content:
+            left_out[f"{entry.slug}.json"] = (
+                "another entry of the same result says something else, and was there before"
+            )
     for place, path in enumerate(runs):
         on_progress(path.name, place, len(runs))
         for folder in (None, *transfer_folders(path)):
@@ -98,7 +103,7 @@ def build(
                 where = "" if folder is None else f" on {folder.relative_to(path / REPORT_FOLDER / TRANSFERS)}"
                 left_out[f"{path.name}{where}"] = str(error)
     on_progress("", len(runs), len(runs))
-    entries = list({entry.slug: entry for entry in (*found, *own)}.values())
+    entries = list((found | {entry.slug: entry for entry in own}).values())
     for folder in (out, out / ENTRIES, out / ENTRIES / REFERENCES):
         remove_leftovers(folder)
     for entry in entries:

@@ -26,11 +26,12 @@ from typing import Final
 
 import pyarrow as pa
 
-from dmotion_bench.errors import DatasetError, DmbenchError, JobsLost, PackageNotInstalled, UnknownName
+from dmotion_bench.errors import DatasetError, DmbenchError, JobsLost, PackageNotInstalled, UnknownName, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.hardware.threads import not_allowed, using_threads
 from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.gain import GAIN_VERSION, GainScoring
 from dmotion_bench.scoring.prediction import Execution, Progress, silent
 from dmotion_bench.scoring.references import published_results
@@ -42,11 +43,12 @@ from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import report_folder, transfer_folders
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.split import SPLIT_NAMES
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.control import check_control
 from leaderboard.entry import Entry, published_entry
-from leaderboard.entry_file import read_entry
+from leaderboard.entry_file import entry_files, read_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import take_pictures
 from leaderboard.rescored import against_samples, same_pictures, same_samples, same_scores, stored_samples
@@ -101,6 +103,9 @@ def check_entry(
             f"version: the entry was scored by version {short(entry.scored_by)}, this is version {SCORING_VERSION}; "
             "score the run again, or check with the dmbench that scored it"
         )
+    if check.entry.column not in (None, *COLUMNS):
+        check.wrong.append(f"settings.control_column is {short(check.entry.column)}, which cannot be")
+        return check.verdict()
     run, asked = find_run(check, workspace), _settings(check)
     dataset = find_dataset(check, workspace, run)
     if run is None or dataset is None:
@@ -228,7 +233,7 @@ def check_paths(
         on_verdict: Told how many entries of how many are checked.
 
     Raises:
-        UnknownName: A path stands for nothing.
+        UnknownName, UsageError: A path stands for nothing.
     """
     settings = CheckSettings(score=not quick, differing=differing)
     settings = settings if draw is None else replace(settings, draw=draw)
@@ -261,11 +266,19 @@ def check_paths(
 
 
 def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
-    """The entry files that a path stands for, or the run with all its reports."""
+    """The entry files that a path stands for, or the run with all its reports.
+
+    Raises:
+        UsageError: It names an entry's file that is not there.
+        UnknownName: It stands for nothing else.
+    """
     if path.is_file():
         return [(path, None)]
-    if path.is_dir() and not (path / RUN_MANIFEST).is_file() and (found := sorted(path.glob("*.json"))):
+    if path.is_dir() and not (path / RUN_MANIFEST).is_file() and (found := entry_files(path)):
         return [(one, None) for one in found]
+    if path.suffix == ".json" and not path.exists():
+        build = "'dmbench leaderboard build'"
+        raise UsageError(f"there is no entry {shown(str(path))}; {build} writes those of the workspace's runs.")
     run = workspace.run(path)
     return [(run, None), *((run, folder) for folder in transfer_folders(run))]
 
@@ -284,7 +297,7 @@ def _against_tables(check: Findings) -> None:
         check.figures = len(ours.figures)
         check.remarks.append("published: held against the table, not scored")
         return
-    check.remarks.append("published elsewhere: there is nothing to hold it against")
+    check.missing.append("published elsewhere: there is nothing to hold it against")
 
 
 def _settings(check: Findings) -> ScoreSettings | None:

@@ -215,7 +215,7 @@ def chosen_table(rows: Sequence[Chosen]) -> list[str]:
 
 def _cells(one: Chosen) -> list[str]:
     return [
-        one.board.title,
+        plain(one.board.title),
         f"{one.value.samples or 0:,} {one.choice.title}",
         one.choice.model_title,
         budget(one.row),

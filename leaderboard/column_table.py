@@ -27,6 +27,7 @@ from dmotion_bench.scoring.statistics import (
     wilson,
 )
 from leaderboard.comparison import PARTS
+from leaderboard.control import PUBLISHED
 from leaderboard.entry import Entry
 from leaderboard.run_names import unusual_settings, without_seed
 
@@ -125,7 +126,7 @@ def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTa
     known = [entry for entry in entries if entry.column in COLUMNS and _is_frozen(entry)]
     steps = max((_last(entry) for entry in known), default=0)
     figure = f"control_distance[{steps}]"
-    known = [entry for entry in known if figure in entry.figures]
+    known = [entry for entry in known if _is_whole(entry.figures, figure)]
     most = max((_tasks(entry, figure) for entry in known), default=0)
     known = [entry for entry in known if _tasks(entry, figure) == most]
     if not known:
@@ -149,6 +150,13 @@ def _is_frozen(entry: Entry) -> bool:
     """Whether an entry's control has the seed of every column, and not too many steps."""
     frozen = ControlScoring()
     return entry.content["settings"].get("control_seed", 0) == frozen.seed and 0 < _last(entry) <= frozen.steps
+
+
+def _is_whole(figures: Mapping[str, Any], figure: str) -> bool:
+    """Whether some figures hold all that a cell shows: a distance over some tasks, a share, and objects lost."""
+    if not all(name in figures and figures[name]["mean"] is not None for name in (figure, SUCCEEDED, LOST)):
+        return False
+    return bool(figures[figure]["n"]) and 0 <= figures[SUCCEEDED]["mean"] <= 1
 
 
 def _tasks(entry: Entry, figure: str) -> int:
@@ -188,7 +196,7 @@ def _cell(entries: Sequence[Entry], figure: str) -> Outcome | None:
     """The trainings with different seeds; of two results of one seed the first counts, as do those over its tasks."""
     by_seed = {entry.content["seed"]: entry for entry in sorted(entries, key=lambda entry: entry.slug, reverse=True)}
     trained = [by_seed[seed] for seed in sorted(by_seed)]
-    sums = [(entry, entry.by_episode[figure]) for entry in trained if figure in entry.by_episode]
+    sums = [(entry, one) for entry in trained if (one := entry.by_episode.get(figure)) and one["n"]]
     if not sums:
         return None
     most = max((one for _, one in sums), key=lambda one: sum(one["n"]))
@@ -211,11 +219,14 @@ def _cell(entries: Sequence[Entry], figure: str) -> Outcome | None:
 def _references(
     entries: Sequence[Entry], columns: Sequence[str], figure: str, words: Mapping[str, str]
 ) -> list[ColumnRow]:
-    """The references beside the models; those that do not plan are the same in every column."""
+    """The references beside the models; those that do not plan are the same in every column.
+
+    What was published was done by another planner, in other tasks.
+    """
     found: dict[str, dict[str, Outcome]] = defaultdict(dict)
     for entry in entries:
         for name, figures in entry.content["reference"].items():
-            if figure in figures:
+            if name != PUBLISHED and _is_whole(figures, figure):
                 for column in (str(entry.column),) if name == "oracle" else columns:
                     found[name].setdefault(column, _reference_cell(figures, figure))
     return [ColumnRow(name=words.get(name, name), cells=cells) for name, cells in found.items()]
@@ -225,7 +236,7 @@ def _reference_cell(figures: Mapping[str, Any], figure: str) -> Outcome:
     left, tasks = figures[figure], int(figures[figure]["n"])
     share = float(figures[SUCCEEDED]["mean"])
     return Outcome(
-        left=Estimate(**{part: left[part] for part in PARTS}),
+        left=Estimate(**{part: left[part] for part in PARTS} | {"std": float(left["std"] or 0)}),
         solved=(share, *wilson(share, tasks)),
         lost=float(figures[LOST]["mean"]),
         tasks=tasks,

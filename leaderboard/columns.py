@@ -161,7 +161,7 @@ def _rollouts(figures: Collection[str]) -> list[Column]:
         Column(
             figure=f"rollout_mse[{step}]",
             heading=f"MSE, {step} ahead",
-            meaning=f"Of the {step}th frame of a rollout that feeds on its own predictions.",
+            meaning=f"Of the frame {step} steps ahead in a rollout that feeds on its own predictions.",
         )
         for step in wanted
     ]

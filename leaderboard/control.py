@@ -11,7 +11,7 @@ References that take seconds are scored anew as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -23,7 +23,7 @@ from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import HasScript
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import NO_ACTION, Agent, Decision, SimulatorAgent, known_actions
-from dmotion_bench.planning.columns import COLUMNS, TASKS, is_test
+from dmotion_bench.planning.columns import TASKS, is_test
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
@@ -41,6 +41,9 @@ METRIC: Final = "control"
 """As settings name it; where pictures judge its samples have another name (``samples_of``)."""
 FIGURES: Final = "control_"
 """How the names of control's figures and settings begin."""
+
+PUBLISHED: Final = "paper"
+"""The reference whose figures were printed elsewhere, so that nobody's actions led to them."""
 
 NOTHING: Final = "none"
 """In place of a continuous action where none was taken."""
@@ -119,6 +122,7 @@ def check_control(
     if METRIC not in content["settings"]["metrics"]:
         if content[METRIC]:
             check.wrong.append("control: the entry holds actions, and says that control was not scored")
+        _expect_none_besides(check, ())
         return
     scoring = _scoring(check)
     if scoring is None:
@@ -150,10 +154,18 @@ def check_control(
         found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
     else:
         check.remarks.append("control: the simulator repeated the actions, nothing was planned anew")
+    _expect_none_besides(check, (MODEL, *content[METRIC], *(found if anew else QUICK)))
     for name, table in found.items():
         _same_figures(check, name, table)
         if samples is not None:
             _same_rows(check, name, _of(samples_of(samples, (METRIC,)), name, "predictor"), table)
+
+
+def _expect_none_besides(check: Findings, known: Collection[str]) -> None:
+    """Add a finding for each predictor with figures of control that no actions lead to, but for some known ones."""
+    for name, own in ((MODEL, check.entry.figures), *check.entry.content["reference"].items()):
+        if name not in (*known, PUBLISHED) and any(figure.startswith(FIGURES) for figure in own):
+            check.wrong.append(f"control of {name}: the entry has figures, and no actions that lead to them")
 
 
 def _scoring(check: Findings) -> ControlScoring | None:
@@ -168,14 +180,8 @@ def _scoring(check: Findings) -> ControlScoring | None:
         "objective_set": _are_settings,
         "seed": lambda value: type(value) is int and value >= 0,
         "group": lambda value: type(value) is int and 1 <= value <= MOST_GROUP,
-        "column": lambda value: value is None or value in COLUMNS,
     }
-    missing = {FIGURES + "column": None}  # in reports whose control no column planned
-    wrong = [
-        FIGURES + name
-        for name, is_fine in allowed.items()
-        if not is_fine(given.get(FIGURES + name, missing.get(FIGURES + name, ())))
-    ]
+    wrong = [FIGURES + name for name, is_fine in allowed.items() if not is_fine(given.get(FIGURES + name, ()))]
     if wrong:
         check.wrong += [f"settings.{name} is {short(given.get(name))}, which cannot be" for name in wrong]
         return None

@@ -151,8 +151,12 @@ def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -
 
 
 def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
-    """Label curves as multiples of each model's own error with all labels, and the labels that each needs."""
-    curves = _same_trainings(board, figure)
+    """Label curves as multiples of each model's own error with all labels, and the labels that each needs.
+
+    Without models that make no error with all labels, of which there are no multiples.
+    """
+    every = _same_trainings(board, figure)
+    curves = {name: rows for name, rows in every.items() if rows[-1].figures[figure].mean > 0}
     if not curves:
         return None
     copied = board.reference("copy_last").get(figure)
@@ -177,10 +181,10 @@ def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup |
 
 
 def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
-    """Label curves as shares of the error of copying the last frame."""
+    """Label curves as shares of the error of copying the last frame; None where nothing ever moves."""
     curves = _same_trainings(board, figure)
     copied = board.reference("copy_last").get(figure)
-    if not curves or copied is None:
+    if not curves or copied is None or copied.mean <= 0:
         return None
     title = f"Label efficiency against copying: {where}"
     series = [_divided(rows, figure, styles[name], copied.mean) for name, rows in curves.items()]

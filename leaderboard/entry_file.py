@@ -18,7 +18,7 @@ from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_file import JsonUnreadable, parse_value, read_bounded
 from leaderboard.entry import HASH, Entry
-from leaderboard.layout import REFERENCES
+from leaderboard.layout import ENTRIES, REFERENCES, SCHEMA
 
 LARGEST: Final = 8 * 2**20
 """Bytes of an entry that are read, and of all the files that it shares."""
@@ -84,13 +84,19 @@ def read_entry(path: Path) -> Entry:
         ) from None
 
 
+def entry_files(folder: Path) -> list[Path]:
+    """The files of a folder's entries, in the order of their names; of a leaderboard's folder those within it."""
+    is_leaderboard = (folder / SCHEMA).is_file() and (folder / ENTRIES).is_dir()
+    return sorted((folder / ENTRIES if is_leaderboard else folder).glob("*.json"))
+
+
 def read_entries(folder: Path) -> list[Entry]:
-    """Every entry of a folder, in the order of the files' names.
+    """Every entry of a folder (``entry_files``).
 
     Raises:
         EntryInvalid: One cannot be read.
     """
-    return [read_entry(path) for path in sorted(folder.glob("*.json"))]
+    return [read_entry(path) for path in entry_files(folder)]
 
 
 def remove_unused_references(folder: Path) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
+from dmotion_bench.errors import EntryInvalid
 from leaderboard.board import Board
 from leaderboard.entry import Entry
 from leaderboard.markup import Markup, element, joined
@@ -77,13 +78,13 @@ def _step(picture: Mapping[str, Any], rows: Sequence[Row]) -> Markup:
     what = f"{picture['action']}, {'an object is pushed' if picture['pushed'] else 'nothing is pushed'}"
     where = f"episode {picture['episode']}, step {picture['step']}"
     tiles = [
-        _tile("frame before", "", where, picture["current"]),
-        _tile("true next frame", "", where, picture["truth"]),
+        _tile("frame before", "", where, picture["current"], rows[0].entries[0]),
+        _tile("true next frame", "", where, picture["truth"], rows[0].entries[0]),
     ]
     for row in rows:
         own = _of(row.entries[0], [picture])[0]
         if own is not None:
-            tiles.append(_tile(row.name, _told(row), where, own["predicted"]))
+            tiles.append(_tile(row.name, _told(row), where, own["predicted"], row.entries[0]))
     return element(
         "div", element("h4", what, element("small", where)), element("ul", *tiles, class_="tiles"), class_="step"
     )
@@ -93,11 +94,20 @@ def _told(row: Row) -> str:
     return ", ".join(part for part in (row.variant, row.labels) if part)
 
 
-def _tile(name: str, small: str, where: str, png: str) -> Markup:
+def _tile(name: str, small: str, where: str, png: str, entry: Entry) -> Markup:
+    """A picture of an entry, with what it shows.
+
+    Raises:
+        EntryInvalid: It cannot be read; says in which file.
+    """
     told = f"{name}{f' ({small})' if small else ''}: {where}"
+    try:
+        source = shown(png)
+    except EntryInvalid as error:
+        raise EntryInvalid(f"the entry {entry.slug}.json cannot be shown: {error}") from None
     return element(
         "li",
-        element("img", src=shown(png), alt=told, width=112, height=112, loading="lazy"),
+        element("img", src=source, alt=told, width=112, height=112, loading="lazy"),
         element("span", name),
         element("small", small) if small else None,
     )

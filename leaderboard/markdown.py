@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import textwrap
 from collections.abc import Sequence
 from typing import Final
 
@@ -10,11 +11,18 @@ WIDTH: Final = 120
 """Characters of a line of words."""
 
 _SPECIAL: Final = re.compile(r"([\\`*\[\]<>|~&])")
+_OPENING: Final = re.compile(r"^(?:(?=#{1,6}(?:\s|$)|[+-](?:\s|$)|[=_\s-]+$)|(\d{1,9})(?=[.)](?:\s|$)))")
+"""Where a line needs a backslash so that it begins no heading, list or rule: at its start, or behind a number."""
 
 
 def plain(text: str) -> str:
     """A text that Markdown shows as it is, on one line."""
     return _SPECIAL.sub(r"\\\1", " ".join(text.split()))
+
+
+def paragraph(text: str) -> list[str]:
+    """The lines of an untrusted text as one paragraph: none of them begins a heading, a list or a rule."""
+    return [_OPENING.sub(r"\1\\", line) for line in textwrap.wrap(plain(text), WIDTH)]
 
 
 def code(text: str) -> str:

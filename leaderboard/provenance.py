@@ -20,7 +20,7 @@ Facts = Mapping[str, Mapping[str, str]]
 """By what they are about, by their names; a fact without a name stands alone."""
 WITHOUT: Final = "without"
 _SHARED: Final = ("settings", "solver", "objective", "training", "versions")
-"""What an entry may lack that most have."""
+"""Of these an entry may lack a part that most have; anything else it has or lacks as a whole."""
 
 
 def provenance(board: Board) -> Markup | None:
@@ -95,12 +95,13 @@ def usual_facts(known: Sequence[Facts]) -> Facts:
 
 
 def different(facts: Facts, usual: Facts) -> Facts:
-    """The facts that are not the usual ones, and the names of the usual settings that an entry does without."""
+    """The facts that are not the usual ones, and the names of the usual settings and remarks that an entry lacks."""
     own = {
         about: {name: value for name, value in ones.items() if usual.get(about, {}).get(name) != value}
         for about, ones in facts.items()
     }
     lacking = [name for about in _SHARED for name in usual.get(about, {}) if name and name not in facts.get(about, {})]
+    lacking += [about for about in usual if about not in _SHARED and about not in facts]
     return {about: ones for about, ones in own.items() if ones} | (
         {WITHOUT: {"": ", ".join(lacking)}} if lacking else {}
     )

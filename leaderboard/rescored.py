@@ -69,6 +69,8 @@ def stored_samples(check: Findings, folder: Path) -> pa.Table | None:
 def against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings) -> None:
     """Compare every figure with the one computed from the stored samples."""
     content = check.entry.content
+    if MODEL in content["reference"]:
+        check.wrong.append(f"reference.{MODEL}: the model is no reference")
     stored = np.unique(column(samples, "predictor").astype(str)).tolist()
     everything = {**{name: {} for name in (*REFERENCES, *stored)}, **content["reference"], MODEL: content["figures"]}
     for predictor, said in everything.items():
@@ -199,6 +201,8 @@ def _far(left: Any, right: Any, absolute: float = SAMPLE_ROUNDING) -> Bool[np.nd
 
 def same_pictures(check: Findings, mine: list[dict[str, Any]]) -> None:
     said = {identity(picture): picture for picture in check.entry.pictures}
+    if len(said) < len(check.entry.pictures):
+        check.wrong.append("pictures: a step stands there twice")
     if not said:
         if mine:
             check.remarks.append("the entry has no pictures")

@@ -11,7 +11,7 @@ from dmotion_bench.loopback_server import LOOPBACK, LoopbackServer, Served
 from dmotion_bench.wording import command
 from leaderboard.layout import ENTRIES, PAGE, REFERENCES, SCHEMA
 
-_ENTRY: Final = re.compile(rf"/{ENTRIES}/((?:{REFERENCES}/)?[A-Za-z0-9_-]+\.json)")
+_ENTRY: Final = re.compile(rf"/{ENTRIES}/((?:{REFERENCES}/)?[A-Za-z0-9_-]{{1,200}}\.json)")
 _HTML, _JSON = "text/html; charset=utf-8", "application/json; charset=utf-8"
 _HEADERS: Final = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-cache"}
 

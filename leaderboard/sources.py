@@ -11,7 +11,6 @@ from dmotion_bench.actions import kind_of
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetError, DmbenchError, RunMismatch
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.label_use import label_use
@@ -144,8 +143,7 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect("labels.use", content["labels"].get("use", ""), label_use(spec, model_class(spec.model).supervision))
     elsewhere = dataset.fingerprint != spec.fingerprint
     check.expect("settings.protocol", content["settings"]["protocol"], "episode" if elsewhere else spec.protocol)
-    if check.entry.column in (None, *COLUMNS):  # another one is a finding of its own
-        check.expect("protocol", content["protocol"], protocol_of(check.entry.column))
+    check.expect("protocol", content["protocol"], protocol_of(check.entry.column))
     facts, said = training_facts(result), content["training"]
     for name in {**facts, **said}:
         if name in said or name not in LATER_TRAINING:

@@ -114,9 +114,11 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
 
 def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
     name = element("a", row.name, href=f"#{row.entries[0].slug}") if row.entries else element("span", row.name)
+    small = element("small", row.variant or ("" if row.entries else "reference"))
+    labels = "" if row.label_count is None else count(row.label_count)
     cells = [
-        element("th", name, element("small", row.variant or ("" if row.entries else "reference")), scope="row"),
-        element("td", "" if row.label_count is None else count(row.label_count), element("small", _budget(row.labels))),
+        element("th", name, small, scope="row", data_value=row.title),
+        element("td", labels, element("small", _budget(row.labels)), data_value=row.label_count),
     ]
     for column in columns:
         cell = row.cells.get(column)
@@ -220,7 +222,8 @@ def _extra_columns(board: Board, rows: Sequence[Row], ranks: str) -> dict[str, t
 
 
 def _tuned(board: Board, ranks: str, row: Row) -> Markup:
-    return element("td", tuned(board, row, ranks) if ranks in row.figures else "")
+    said = tuned(board, row, ranks) if ranks in row.figures else ""
+    return element("td", said, data_value=said or None)
 
 
 def _computed(row: Row) -> Markup:

@@ -23,14 +23,13 @@ from scipy import stats
 
 from dmotion_bench.scoring.label_use import USUAL_USES
 from dmotion_bench.scoring.report import LABEL_USES
-from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
+from leaderboard.board import RANKED_BY, Board
 from leaderboard.row import USUAL_BUDGETS, Row
 
 LEAST_MODELS: Final = 2
 RESAMPLES: Final = 2_000
 _USUAL: Final = frozenset(LABEL_USES.get(use, "") for use in USUAL_USES)
 """The variants of rows that have their model's usual settings: what a board says of them is how the model learns."""
-_BASELINE: Final = REFERENCE_WORDS["copy_last"]
 Scores = Float[np.ndarray, "n w"]
 """Of trainings and worlds."""
 _World = tuple[Board, dict[str, dict[str, Row]]]
@@ -136,8 +135,8 @@ def _comparable_rows(board: Board) -> list[Row]:
 
 def _baseline(board: Board) -> float | None:
     """The error of copying the last frame."""
-    values = [row.figures[RANKED_BY].mean for row in board.rows if row.name == _BASELINE and RANKED_BY in row.figures]
-    return values[0] if values and values[0] > 0 else None
+    copied = board.reference("copy_last").get(RANKED_BY)
+    return copied.mean if copied is not None and copied.mean > 0 else None
 
 
 def normalised(board: Board, row: Row) -> list[float]:

@@ -70,8 +70,8 @@ def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
 
 def summary_lines(summary: Summary) -> list[str]:
     """The lines of the summary in a Markdown page."""
-    worlds = [board.title for board in summary.boards]
-    recorded = ", ".join(f"{board.title} {board.fingerprint[:8]}" for board in summary.boards)
+    worlds = [plain(board.title) for board in summary.boards]
+    recorded = ", ".join(f"{plain(board.title)} {board.fingerprint[:8]}" for board in summary.boards)
     body = [
         [
             plain(one.model),
@@ -84,7 +84,7 @@ def summary_lines(summary: Summary) -> list[str]:
         for one in summary.standings
     ]
     lines = table(["Model", "IQM", "Mean", "Worst world", *worlds, "P(better)", "Labels", "Trainings"], body)
-    notes = (f"Data sets: {recorded}.", SCORE, MEANING, INTERVALS, *_absent(summary))
+    notes = (f"Data sets: {recorded}.", SCORE, MEANING, INTERVALS, *map(plain, _absent(summary)))
     said = [one for note in notes for one in (*textwrap.wrap(note, WIDTH, break_on_hyphens=False), "")]
     return ["", *lines, "", *said]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -109,8 +110,8 @@ def reproduce(
         preset: Size of recordings and trainings; the table's by default.
         seeds, models, worlds: A part of the table.
         executor: Where jobs run: ``"local"``, ``"ray"`` or ``"slurm"``.
-        workers: Jobs at a time; by default as many as there are processors and memory for. On a GPU of this machine it
-            is one training at a time. More than one need ``if __name__ == "__main__":`` in a script.
+        workers: Jobs at a time; by default as many as there are processors and memory for, also on a GPU, which they
+            share. More than one need ``if __name__ == "__main__":`` in a script.
         device: ``"auto"``, ``"cpu"`` or ``"cuda"``.
         speeds: A file that ``dmbench bench --json`` wrote; the cost is computed from it where it has the speeds.
         dry_run: Whether to say only what is left and what it costs.
@@ -343,9 +344,13 @@ class _Work:
 
     def _note_outcome(self, outcome: Outcome) -> None:
         if outcome.error is not None:
-            self._note_failure(f"training {outcome.row.model} with {outcome.row.labels}", outcome.error)
+            run = "" if outcome.run is None else f", {outcome.run.name}"
+            self._note_failure(f"training {outcome.row.model} with {outcome.row.labels}{run}", outcome.error)
 
     def _note_failure(self, what: str, why: str) -> None:
+        """Keep why something failed; what is called the same fails for itself, such as a model in another world."""
+        names = itertools.chain([what], (f"{what} ({number})" for number in itertools.count(2)))
+        what = next(name for name in names if name not in self.failures)
         self.failures[what] = why
         self.watch.note(f"{what}: {why}")
 

@@ -9,7 +9,15 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.api.progress import Progress, Tell, telling
-from dmotion_bench.errors import DatasetMissing, DmbenchError, RunMissing, ShareMissing, UnknownName, UsageError
+from dmotion_bench.errors import (
+    DatasetMissing,
+    DmbenchError,
+    EntryInvalid,
+    RunMissing,
+    ShareMissing,
+    UnknownName,
+    UsageError,
+)
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.report import REPORT_FOLDER, SAMPLES_FILE
@@ -153,15 +161,20 @@ def pull_entries(
     """Fetch what checking some entries takes; says of each that cannot be had why.
 
     Args:
-        paths: Entries' files and folders of them; published results, and paths of runs, need nothing.
+        paths: Entries' files and folders of them; published results, and paths of runs, need nothing. Nor does a file
+            that is no entry, which the check says.
         place, workspace, progress: As for ``share_pull``.
 
     Raises:
         As ``share_pull``, but for what is missing.
     """
     missing = []
-    for file in map(Path, _listed(paths)):
-        if not file.is_file() or wanted_by(file) is None:
+    given = map(Path, listed(paths))
+    for file in (file for path in given for file in (_entry_files(path) if _holds_entries(path) else [path])):
+        try:
+            if not file.is_file() or wanted_by(file) is None:
+                continue
+        except EntryInvalid:
             continue
         try:
             share_pull(file, place, workspace=workspace, progress=progress)
@@ -192,13 +205,19 @@ def _some(things: AnyPaths) -> list[AnyPath]:
 
 
 def _measured(folder: Path) -> list[Path]:
-    return [path for path in sorted(folder.glob("*.json")) if wanted_by(path) is not None]
+    return [path for path in _entry_files(folder) if wanted_by(path) is not None]
+
+
+def _entry_files(folder: Path) -> list[Path]:
+    """The files of a folder's entries; of the whole folder of a leaderboard's page those within it."""
+    inner = folder / "entries"
+    return sorted((inner if inner.is_dir() and (folder / "schema.json").is_file() else folder).glob("*.json"))
 
 
 def _holds_entries(path: Path) -> bool:
     """Whether a path is a folder of entries."""
     sources = (RUN_MANIFEST, DATASET_MANIFEST)
-    return path.is_dir() and not any((path / name).exists() for name in sources) and any(path.glob("*.json"))
+    return path.is_dir() and not any((path / name).exists() for name in sources) and bool(_entry_files(path))
 
 
 def _telling(tell: Tell, verb: str) -> Callable[[str, int, int], None]:

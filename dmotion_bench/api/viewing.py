@@ -216,7 +216,7 @@ def data_of(targets: Sequence[Target], data: Path | None, workspace: Workspace, 
     """
     data = data or next((one.data for one in targets if one.data is not None), None)
     if data is not None and (live or len(targets) > 1 or targets[0].kind not in ("run", "report")):
-        raise UsageError("--data shows one run on another data set; name that run alone.")
+        raise UsageError("--data shows one finished run on another data set; name that run alone, without --live.")
     return None if data is None else workspace.dataset(data)
 
 

@@ -59,12 +59,22 @@ def read_keys(terminal: int) -> Iterator[str]:
             yield data.decode("latin-1")
             continue
         rest = ""
-        while len(rest) < 2 and select.select([terminal], [], [], WITHIN)[0]:
+        while not _is_whole(rest) and select.select([terminal], [], [], WITHIN)[0]:
             after = os.read(terminal, 1).decode("latin-1")
             if not after:
                 break
             rest += after
         if not rest:
             yield ESCAPE
-        elif rest[0] in "[O" and rest[1:] in ARROWS:
-            yield ARROWS[rest[1:]]
+        elif rest[0] in "[O" and rest[1:] and rest[-1] in ARROWS:
+            yield ARROWS[rest[-1]]
+
+
+def _is_whole(rest: str) -> bool:
+    """Whether this is all that a key sends after an escape: one of several has numbers before its letter.
+
+    With Shift an arrow sends ``[1;2C``, and F5 ``[15~``; what would be left of it were taken for other keys.
+    """
+    if rest[:1] == "[":
+        return len(rest) > 1 and "@" <= rest[-1] <= "~"
+    return len(rest) > (rest[:1] == "O")

@@ -114,8 +114,9 @@ def score(
             raise UsageError(
                 "runs and references cannot be scored by the same command; name only references, or only runs."
             )
-        if asked != ("control",) and column is None:
+        if asked != ("control",) and (asked is not None or column is None):
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
+        require_all("score", workers, executor)
         _references([str(one) for one in named], workspace.dataset(data), control, as_json=as_json)
         return
     if every and runs:

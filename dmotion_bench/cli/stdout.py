@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import os
 import sys
 from collections.abc import Iterator
@@ -39,9 +40,18 @@ def reserve_stdout(context: typer.Context, as_json: bool) -> bool:
 
 
 def print_json(value: Any) -> None:
-    """Print the object that the command was asked for."""
+    """Print the object that the command was asked for; a number that JSON has no word for is null in it."""
     with own_stdout():
-        typer.echo(json.dumps(value))
+        typer.echo(json.dumps(_finite(value), allow_nan=False))
+
+
+def _finite(value: Any) -> Any:
+    """A value with None in place of each NaN and infinity."""
+    if isinstance(value, dict):
+        return {name: _finite(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 @contextlib.contextmanager

@@ -10,6 +10,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -282,3 +283,14 @@ def test_a_data_set_of_another_recipe_is_not_taken(tmp_path: Path) -> None:
         with pytest.raises(dm.DmbenchError, match=r"seed is 1 there and 0 here.*; for a new one rename that folder"):
             dm.reproduce(TABLE, workspace=tmp_path, workers=1, dry_run=dry_run)
     assert Dataset.open(other.dataset).recipe.seed == 1
+
+
+def test_trainings_that_fail_in_two_worlds_are_two_failures() -> None:
+    plan: Any = SimpleNamespace(workspace=None)
+    work = reproducing._Work(plan, reproducing.Hands(), reproducing.Watch())
+    row = learning_table.Row(model="dmotion", labels="one-shot")
+
+    for why in ("no space", "no memory"):
+        work._note_outcome(learning_table.Outcome(row=row, run=None, error=why))
+
+    assert list(work.failures.values()) == ["no space", "no memory"]

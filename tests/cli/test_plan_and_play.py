@@ -271,6 +271,25 @@ def test_keys_are_read_one_by_one() -> None:
     os.close(reader)
 
 
+@pytest.mark.parametrize(
+    ("sent", "keys"),
+    [
+        (b"\x1b[1;2C3", ["right", "3"]),  # with Shift
+        (b"\x1b[1;5D", ["left"]),  # with Control
+        (b"\x1b[15~4", ["4"]),  # F5
+        (b"\x1b[3~", []),  # Delete
+        (b"\x1bOP1", ["1"]),  # F1
+        (b"\x1bx1", ["1"]),  # Alt and x
+    ],
+)
+def test_the_numbers_within_a_key_are_no_keys(sent: bytes, keys: list[str]) -> None:
+    reader, writer = os.pipe()
+    os.write(writer, sent)
+    os.close(writer)
+    assert list(read_keys(reader)) == keys
+    os.close(reader)
+
+
 def test_arrows_take_the_actions_of_their_names_and_digits_any() -> None:
     four = bindings(moves(Discrete(("up", "down", "left", "right"))))
     assert four["left"].action == four["3"].action == 2

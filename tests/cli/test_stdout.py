@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import os
 import subprocess
 import sys
@@ -47,6 +48,16 @@ def test_the_object_is_alone_whoever_else_prints(capfd: pytest.CaptureFixture[st
     printed = capfd.readouterr()
     assert printed.out == 'chosen\n{"done": true}\nafter the command\n'
     assert set(printed.err.split("\n")) == {"by Python", "by the system", "by a process", "afterwards", ""}
+
+
+def test_what_is_printed_is_json_also_where_a_number_is_none(capfd: pytest.CaptureFixture[str]) -> None:
+    """A lossless video has an endless PSNR."""
+    print_json({"psnr": math.inf, "each": [1.5, math.nan], "pair": (-math.inf, 2, True, None, "NaN")})
+    assert json.loads(capfd.readouterr().out, parse_constant=pytest.fail) == {
+        "psnr": None,
+        "each": [1.5, None],
+        "pair": [None, 2, True, None, "NaN"],
+    }
 
 
 def test_without_the_option_nothing_is_changed(capfd: pytest.CaptureFixture[str]) -> None:

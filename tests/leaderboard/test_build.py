@@ -11,10 +11,12 @@ from typing import Any
 import pytest
 
 from dmotion_bench.errors import EntryInvalid, UsageError
+from dmotion_bench.scoring.references import published_results
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import build
-from leaderboard.entry import Entry, schema_text
+from leaderboard.entry import Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, write_entry
+from leaderboard.paper import label_count
 
 
 @pytest.mark.slow
@@ -83,6 +85,25 @@ def test_an_empty_workspace_shows_the_tables(tmp_path: Path) -> None:
 
     assert (built.measured, built.published) == (0, 22)
     assert "Published results alone" in built.page.read_text()
+
+
+def test_no_given_entry_replaces_what_was_published_or_given_before(tmp_path: Path) -> None:
+    row = published_results()[0]
+    paper = published_entry(row, label_count(row.environment, row.labels))
+    figures = {"mse": dict(paper.figures["mse"]) | {"mean": 0.5}}
+    forged, first, second = (
+        Entry(dict(paper.content) | change)
+        for change in ({"figures": figures}, {"source": "mine"}, {"source": "mine", "figures": figures})
+    )
+    given = [write_entry(entry, tmp_path / name) for entry, name in ((forged, "a"), (first, "b"), (second, "c"))]
+    assert [forged.slug, first.slug] == [paper.slug, second.slug]
+
+    built = build([], given, tmp_path / "out")
+
+    entries = read_entries(tmp_path / "out/entries")
+    assert [entry in entries for entry in (paper, forged, first, second)] == [True, False, True, False]
+    assert set(built.left_out) == {f"{paper.slug}.json", f"{first.slug}.json"}
+    assert build([], [tmp_path / "out/entries"], tmp_path / "again").left_out == {}
 
 
 def test_a_page_of_another_kind_is_left_as_it_is(tmp_path: Path) -> None:

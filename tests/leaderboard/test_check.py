@@ -16,6 +16,7 @@ import pytest
 import torch
 from known_model import Known
 
+from dmotion_bench.errors import UsageError
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Conditions, Run
 from dmotion_bench.scoring.figures import figures_of
@@ -28,8 +29,8 @@ from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry, check_paths
-from leaderboard.entry import Entry, published_entry
-from leaderboard.entry_file import write_entry
+from leaderboard.entry import Entry, published_entry, schema_text
+from leaderboard.entry_file import read_entries, write_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import from_png, to_png
 from leaderboard.rescored import same_samples, same_scores
@@ -193,6 +194,7 @@ def test_what_is_not_here_makes_an_entry_neither_sound_nor_wrong(
         ("settings", {"protocol": "paper"}, "settings.protocol: "),
         ("settings", {"split": "training"}, "settings.split is"),
         ("settings", {"precision": "int8"}, "settings.precision is"),
+        ("settings", {"control_column": "x" * 300}, "settings.control_column is 'xxx"),  # longer than a file's name
     ],
 )
 def test_hashes_and_settings_count(
@@ -374,6 +376,24 @@ def test_pictures_of_chosen_steps_are_found(
     assert any(finding.startswith("pictures: of other steps") for finding in verdict.findings)
 
 
+def test_a_forged_picture_before_the_true_one_of_its_step_is_found(
+    workspace: Workspace, sound: Entry, changed: Changed, shared: SharedSamples
+) -> None:
+    other = dict(sound.pictures[0]) | {"truth": sound.pictures[0]["current"]}
+
+    verdict = check_entry(changed(pictures=[other, *sound.pictures]), workspace, shared=shared)
+
+    assert verdict.findings == ("pictures: a step stands there twice",)
+
+
+def test_the_model_is_no_reference_beside_itself(workspace: Workspace, sound: Entry, changed: Changed) -> None:
+    reference = dict(sound.content["reference"]) | {"model": {"mse": dict(sound.figures["mse"]) | {"mean": 1e6}}}
+
+    verdict = check_entry(changed(reference=reference), workspace, QUICK)
+
+    assert verdict.findings == ("reference.model: the model is no reference",)
+
+
 def test_published_rows_are_held_against_the_table() -> None:
     row = published_results()[0]
     entry = published_entry(row, label_count(row.environment, row.labels))
@@ -384,8 +404,9 @@ def test_published_rows_are_held_against_the_table() -> None:
     assert not check_entry(Entry(dict(entry.content) | {"figures": figures}), nowhere).holds
     assert not check_entry(Entry(dict(entry.content) | {"source": "me"}), nowhere).holds
     other = check_entry(Entry(dict(entry.content) | {"model": "another"}), nowhere)
-    assert other.holds
-    assert "nothing to hold it against" in other.remarks[0]
+    assert not other.holds  # nobody can tell
+    assert not other.findings
+    assert "nothing to hold it against" in other.missing[0]
 
 
 def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entry, tmp_path: Path) -> None:
@@ -397,6 +418,19 @@ def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entr
 
     assert {verdict.entry: verdict.holds for verdict in verdicts} == {"broken.json": False, RUN: True}
     assert len(verdicts) == 3
+
+
+def test_the_folder_of_a_page_stands_for_its_entries(tmp_path: Path) -> None:
+    rows = published_results()[:2]
+    for row in rows:
+        write_entry(published_entry(row, label_count(row.environment, row.labels)), tmp_path / "site" / "entries")
+    (tmp_path / "site" / "schema.json").write_text(schema_text())
+    nowhere = Workspace(tmp_path / "nowhere")
+
+    assert [verdict.holds for verdict in check_paths([tmp_path / "site"], nowhere)] == [True, True]
+    assert [len(read_entries(tmp_path / "site" / inner)) for inner in ("", "entries")] == [2, 2]
+    with pytest.raises(UsageError, match=r"there is no entry '.*gone\.json'"):
+        check_paths([tmp_path / "site" / "entries" / "gone.json"], nowhere)
 
 
 def test_a_check_computes_with_the_run_s_number_of_threads(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -211,6 +212,62 @@ def test_a_trial_with_other_settings_is_not_in_the_table(
     assert board.control.steps == 2
 
 
+def test_what_was_published_is_no_row_among_frozen_planners(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    """A report on the run's own data has the paper's figures beside its own, another planner's in other tasks."""
+    entry = controlled("dmotion", left["dmotion", 0])
+    published = {"control_distance[2]": _figure(0.7, 25) | {"low": None, "high": None, "n": None}}
+    both = Entry(dict(entry.content) | {"reference": dict(entry.content["reference"]) | {"paper": published}})
+
+    (with_paper,), (without,) = make_boards([both]), make_boards([entry])
+
+    assert with_paper.control is not None
+    assert without.control is not None
+    assert [row.name for row in with_paper.control.rows] == [row.name for row in without.control.rows]
+    assert make_page([both])
+
+
+@pytest.mark.parametrize("where", ["model", "idle"])
+@pytest.mark.parametrize(
+    ("figure", "change"),
+    [
+        ("control_success", None),
+        ("control_lost", None),
+        ("control_success", {"mean": None}),
+        ("control_success", {"mean": 5.0}),
+        ("control_distance[2]", {"mean": None}),
+        ("control_distance[2]", {"n": None}),
+        ("control_distance[2]", {"n": 0}),
+    ],
+)
+def test_what_lacks_a_figure_of_the_table_is_left_out_of_it(
+    board: Board,
+    controlled: MakeEntry,
+    left: dict[tuple[str, int], np.ndarray],
+    where: str,
+    figure: str,
+    change: dict[str, Any] | None,
+) -> None:
+    """Entries come from anybody; one that is damaged must not keep the others from being shown."""
+    entry = controlled("damaged", left["dmotion", 0])
+    content = copy.deepcopy(dict(entry.content))
+    figures = content["figures"] if where == "model" else content["reference"][where]
+    if change is None:
+        del figures[figure]
+    else:
+        figures[figure] |= change
+
+    assert board.control is not None
+    (found,) = make_boards([*board.entries, Entry(content)])
+
+    assert found.control is not None
+    names = [row.name for row in board.control.rows]
+    expected = names if where == "model" else ["damaged", *names]
+    assert sorted(row.name for row in found.control.rows) == sorted(expected)
+    assert make_page([*board.entries, Entry(content)])
+
+
 def test_control_of_the_earlier_protocol_stands_apart(
     controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
 ) -> None:
@@ -258,11 +315,15 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
     assert f"| {mean} (" in lines
     assert f"Generic: differences below {rounded(board.control.detectable['generic'])} between" in lines
     assert "are too small for this table" in page
-    assert page.count("true simulator as the model") == 1
+    assert page.count(">true simulator as the model<") == 1
     (row,) = (line for line in lines.splitlines() if line.startswith("| dmotion |"))
     assert row.startswith("| dmotion | 4 (1 each) | 3 / 1 | 25 |")
     assert "tasks, 3 trainings" in page
     assert "tasks, one training" in page
+    said = r"(?!(?:<small></small>)?</td>)"
+    sortable = re.findall(rf'<(?:td|th scope="row")( data-value="[^"]+")?>{said}', page.partition("<tbody>")[2])
+    assert len(sortable) >= 5 * 2  # cells that say something, of two models, the oracle and idle
+    assert all(sortable)
 
 
 def test_of_single_trainings_the_table_does_not_say_which_difference_it_can_show(

@@ -221,6 +221,38 @@ def test_figures_of_control_that_nobody_scored_are_found(controlled: Workspace, 
     )
 
 
+def test_figures_of_control_do_not_hold_where_control_is_said_not_to_be_scored(
+    controlled: Workspace, entry: Entry
+) -> None:
+    content = _content(entry)
+    content["settings"]["metrics"] = []
+    content["control"] = {}
+
+    findings = check_entry(Entry(content), controlled, QUICK).findings
+    assert "control of model: the entry has figures, and no actions that lead to them" in findings
+    assert "control of oracle: the entry has figures, and no actions that lead to them" in findings
+
+
+@pytest.mark.parametrize("settings", [CheckSettings(), QUICK], ids=["anew", "quick"])
+def test_figures_of_the_oracle_do_not_hold_without_its_actions(
+    controlled: Workspace, entry: Entry, settings: CheckSettings
+) -> None:
+    content = _content(entry)
+    del content["control"]["oracle"]
+
+    findings = check_entry(Entry(content), controlled, settings).findings
+    assert findings == ("control of oracle: the entry has figures, and no actions that lead to them",)
+
+
+def test_a_published_figure_of_control_needs_no_actions(controlled: Workspace, entry: Entry) -> None:
+    content = _content(entry)
+    content["reference"]["paper"] = {"control_distance[100]": content["figures"]["control_distance[5]"]}
+
+    findings = check_entry(Entry(content), controlled, QUICK).findings
+    assert not any("control of paper" in one for one in findings)
+    assert any(one.startswith("reference.paper: ") for one in findings)  # this one was published by nobody
+
+
 def _forged(workspace: Workspace, change: Callable[[Rows], None]) -> Entry:
     """The entry of a run whose samples were changed and whose report was made to agree, hash, figures and all."""
     run = workspace.runs / RUN

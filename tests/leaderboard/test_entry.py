@@ -22,6 +22,7 @@ from leaderboard.entry_file import read_entries, read_entry, remove_unused_refer
 from leaderboard.paper import label_count
 
 Changed = Callable[..., Entry]
+SETTINGS = {"split": "test", "protocol": "episode", "horizon": 3, "precision": "float32", "metrics": []}
 PUBLISHED = Path(__file__).parents[2] / "docs/leaderboard/entries"
 
 
@@ -206,6 +207,10 @@ def test_the_paper_s_rows_are_entries() -> None:
         ({"extra": 1}, "'extra', which is not known"),
         ({"figures": {"MSE<script>": {}}}, "a name in figures"),
         ({"figures": {"mse": {"mean": 1}}}, "figures.mse lacks 'std'"),
+        ({"figures": {"rollout_mse[03]": {}}}, "a name in figures"),
+        ({"model": "cs\u202ewm"}, "model is 'cs.*wm', which does not match"),
+        ({"settings": SETTINGS | {"control_code": ["0.1.0"]}}, "settings.control_code is .*, not of the type string"),
+        ({"by_episode": {"mse": {"episode": [1], "n": [1], "sum": [1e308]}}}, r"by_episode.mse.sum\[0\] is 1e.308"),
         ({"pictures": [{}]}, r"pictures\[0\] lacks"),
         ({"by_episode": {"mse": {"episode": [1, 2], "n": [1], "sum": [1.0]}}}, "different lengths"),
         ({"by_episode": {"mse": {"episode": [2, 1], "n": [1, 1], "sum": [1.0, 1.0]}}}, "not in order"),

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.scoring.references import published_results
 from leaderboard import planners
 from leaderboard.board import make_boards
@@ -229,6 +230,50 @@ def test_of_each_entry_the_page_says_what_is_not_as_usual(sound: Entry, changed:
     assert "control objective" not in page
 
 
+def test_what_most_entries_were_trained_on_is_not_said_of_another_one(sound: Entry, changed: Changed) -> None:
+    elsewhere = dict(sound.content["dataset"]) | {"trained_on": {"name": "far", "fingerprint": "f" * 64}}
+    remarks = {"gain": "64 sequences"}
+    alike = [
+        changed(run=f"dmotion-s{seed}", seed=seed, weights=f"{seed}" * 64, dataset=elsewhere, remarks=remarks)
+        for seed in (1, 2)
+    ]
+    page = make_page([*alike, changed(run="another", seed=7, weights="7" * 64, remarks={})])
+    _, usual, *folded = page.split('<details class="provenance"')
+
+    assert "<dt>trained on</dt>" in usual
+    assert "<dt>gain</dt>" in usual
+    for own in folded:
+        assert ("<dt>without</dt><dd>trained on, gain</dd>" in own) == ("another" in own)
+
+
+def test_a_picture_that_cannot_be_read_is_named_with_its_file(changed: Changed, sound: Entry) -> None:
+    spoilt = changed(pictures=[dict(sound.pictures[0]) | {"predicted": "A" * 60}])
+
+    with pytest.raises(EntryInvalid, match=rf"{spoilt.slug}\.json cannot be shown: a picture .* it is no PNG"):
+        make_page([spoilt])
+
+
+@pytest.mark.parametrize(("copied", "all_labels"), [(0.0, 0.1), (2.0, 0.0)])
+def test_label_curves_without_any_error_to_compare_with_are_left_out_of_ratios(
+    changed: Changed, sound: Entry, copied: float, all_labels: float
+) -> None:
+    """Of a data set in which nothing moves copying has no error; a model may have none, either."""
+
+    def entry(labels: str, count: int, error: float) -> Entry:
+        run = f"dmotion-grid_world-tiny-{labels.replace('%', 'pct')}-s0"
+        reference = copy.deepcopy(sound.content["reference"])
+        reference["copy_last"]["mse"]["mean"] = copied
+        figures = dict(sound.figures) | {"mse": dict(sound.figures["mse"]) | {"mean": error}}
+        asked = {"asked": labels, "given": {}, "total": count}
+        return changed(run=run, labels=asked, figures=figures, reference=reference)
+
+    page = make_page([entry("4", 4, 1.0), entry("16", 16, 0.5), entry("100%", 100, all_labels)])
+
+    assert "Label efficiency, MSE" in page
+    assert ("Worth of labels" in page) == (all_labels > 0)
+    assert ("Label efficiency against copying" in page) == (copied > 0)
+
+
 def test_the_page_says_what_each_model_is_and_of_which_figures_more_is_better(sound: Entry) -> None:
     page = make_page([sound])
     assert "<dt>dmotion</dt><dd>DMotion (Yuan et al. 2021): a forward model" in page
@@ -298,11 +343,11 @@ def test_control_by_a_planner_that_was_tuned_on_the_tasks_says_so_in_the_table_a
     monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": {fingerprint: 7}})
     page = make_page([entry])
     assert ">Tuned here</th>" in page
-    assert "<td>yes</td>" in page
+    assert '<td data-value="yes">yes</td>' in page
     assert "near, tuned here, labels one-shot" in page
     monkeypatch.setattr(planners, "_tuned_tasks", lambda: {"planner-1": {}})
     page = make_page([entry])
-    assert "<td>no</td>" in page
+    assert '<td data-value="no">no</td>' in page
     assert "near, labels one-shot" in page
 
 

@@ -9,6 +9,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -137,3 +138,34 @@ def test_whoever_leaves_in_the_middle_is_no_error(server: LeaderboardServer, cap
         connection.close()
     _wait_until(lambda: not server._open)
     assert capfd.readouterr() == ("", "")
+
+
+def test_a_name_that_is_longer_than_any_file_s_is_not_found(server: LeaderboardServer) -> None:
+    assert _get(server, f"/entries/{'a' * 300}.json")[0] == 404
+
+
+def test_a_file_that_is_replaced_meanwhile_is_given_as_a_whole(tmp_path: Path) -> None:
+    """A page is built anew while it is served."""
+    page, new = tmp_path / "page", tmp_path / "new"
+    page.write_text("old")
+    new.write_text("new, and longer")
+
+    class Replaced(type(page)):  # type: ignore[misc]
+        def open(self, *args: Any, **more: Any) -> Any:
+            new.replace(page)
+            return super().open(*args, **more)
+
+    class Server(loopback_server.LoopbackServer):
+        def find(self, path: str, origin: str) -> loopback_server.Served:
+            return loopback_server.Served(file=Replaced(page), kind="text/plain")
+
+    with Server() as server:
+        thread = threading.Thread(target=server.serve_forever, daemon=True)
+        thread.start()
+        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        connection.request("GET", "/")
+        answer = connection.getresponse()
+        assert (answer.getheader("Content-Length"), answer.read()) == ("15", b"new, and longer")
+        connection.close()
+        server.shutdown()
+        thread.join()

@@ -228,3 +228,11 @@ def test_what_a_board_shows_in_a_sentence(sound: Entry) -> None:
 
 def test_standings_are_plain_values(published: Summary) -> None:
     assert all(isinstance(one, Standing) and np.isfinite(one.scores).all() for one in published.standings)
+
+
+def test_a_model_that_has_the_reference_s_name_is_not_what_the_others_are_compared_with() -> None:
+    rows = [_row("copy the last frame", [1]), _row("x", [10]), _row("y", [50])]
+    found = summarise([_board("a", rows), _board("b", rows)])
+
+    assert found is not None
+    assert {one.model: one.worlds for one in found.standings}["x"] == pytest.approx([0.9, 0.9])

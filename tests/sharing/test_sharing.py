@@ -13,6 +13,7 @@ from sharing.conftest import Published
 from sharing.workspaces import contents, entry_of, fingerprint, nothing_in, weights
 
 import dmotion_bench as dm
+from dmotion_bench.api.sharing import pull_entries
 from dmotion_bench.errors import (
     DatasetMissing,
     DmbenchError,
@@ -339,3 +340,20 @@ def test_the_commands_say_what_was_done_and_what_to_type_next(
     assert f"'dmbench leaderboard check {entry}'" in said("pull", str(entry), "--from", folder.address)
     found = json.loads(said("list", folder.address, "--json"))["shared"]
     assert [one["fingerprint"] for one in found] == [fingerprint(workspace), weights(workspace)]
+
+
+def test_a_file_that_is_no_entry_keeps_no_other_from_being_fetched(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    """The check says of it that it does not hold; a leaderboard's whole folder may be named, too."""
+    dm.share_push(["known", workspace.data / "noise"], folder.address)
+    site = tmp_path / "site"
+    (site / "entries").mkdir(parents=True)
+    entry_of(workspace, site / "entries" / "known.json")
+    (site / "entries" / "broken.json").write_text("{")
+    (site / "schema.json").write_text("{}")
+
+    missing = pull_entries([site], folder.address, workspace=outsider.root)
+
+    assert missing == []
+    assert (outsider.runs / "known" / "run.json").is_file()

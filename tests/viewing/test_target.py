@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from pushed_squares import write_squares
 
+from dmotion_bench.api.viewing import data_of
 from dmotion_bench.errors import RunMissing, UnknownName, UsageError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.storage.dataset import Dataset
@@ -110,3 +111,8 @@ def test_a_report_of_validation_episodes_or_of_a_column_is_itself(workspace: Wor
             find_target(deeper, workspace)
     finally:
         shutil.rmtree(run.path / "report")
+
+
+def test_data_are_of_one_finished_run(tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match="name that run alone, without --live"):
+        data_of([Target("run", tmp_path)], tmp_path / "data", Workspace(tmp_path), live=True)

@@ -27,7 +27,7 @@ def bench(
     only: Annotated[
         str, typer.Option(help="Measure only the speeds whose names contain this text, such as 'train'.")
     ] = "",
-    seconds: Annotated[float, typer.Option(min=0.1, help="Duration of each measurement.")] = 5.0,
+    seconds: Annotated[float, typer.Option(min=0.1, max=3600, help="Duration of each measurement.")] = 5.0,
     compare: Annotated[
         Path | None,
         typer.Option(

@@ -10,6 +10,7 @@ from dmotion_bench.errors import DatasetError
 from dmotion_bench.wording import shown
 
 PACKAGES = ("dmbench", "torch", "numpy", "mcap", "pyarrow", "pybullet", "pymunk", "gymnasium", "rerun-sdk")
+MOST_STATED = 8  # versions of a package, the last ones
 
 
 def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
@@ -20,6 +21,20 @@ def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
             found[name] = version(name)
         except PackageNotFoundError:
             continue
+    return found
+
+
+def with_earlier(earlier: Mapping[str, str], now: Mapping[str, str]) -> dict[str, str]:
+    """The versions of something that was begun with some and goes on with others: ``"2.4.5, 2.4.6"``.
+
+    Args:
+        earlier: As stated so far, by this function perhaps.
+        now: Of this process.
+    """
+    found = dict(earlier)
+    for name, version_now in now.items():
+        known = [one for one in earlier.get(name, "").split(", ") if one]
+        found[name] = ", ".join([*known, *(() if version_now in known else (version_now,))][-MOST_STATED:])
     return found
 
 

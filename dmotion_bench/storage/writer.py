@@ -35,7 +35,7 @@ from dmotion_bench.storage.shard import (
 from dmotion_bench.storage.split import split_episodes
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, write_episodes, write_tasks
 from dmotion_bench.storage.tasks import choose_tasks
-from dmotion_bench.versions import versions
+from dmotion_bench.versions import versions, with_earlier
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST
 
@@ -64,6 +64,7 @@ class DatasetWriter:
     ) -> None:
         self.path, self.recipe, self.spec = path, recipe, spec
         self.versions = versions((*_PACKAGES, *(name for name in packages if name not in _PACKAGES)))
+        self._stated = self.versions
         self._begun_here = False
         self._receipts = {receipt.index: receipt for receipt in receipts}
         self._lock: FolderLock | None = lock
@@ -108,7 +109,9 @@ class DatasetWriter:
             if not writer.missing:
                 writer._standing = standing
             else:
-                begun.write(path)
+                if standing is not None and receipts:  # of shards that others may have made
+                    writer._stated = with_earlier(standing.versions, writer.versions)
+                dataclasses.replace(begun, versions=writer._stated).write(path)
         except BaseException:
             lock.release()
             raise
@@ -201,7 +204,7 @@ class DatasetWriter:
 
         Args:
             salvaged: Whether episodes were lost on the way here.
-            made_with: The versions of packages to state; those of this process if left out.
+            made_with: The versions of packages to state; if left out, those that made the shards.
             replay: Whether the recording repeats, if that was tried; one that does not has no control tasks.
         """
         if self.missing:
@@ -224,7 +227,7 @@ class DatasetWriter:
                 spec=self.spec,
                 complete=True,
                 salvaged=salvaged,
-                versions=made_with or self.versions,
+                versions=made_with or self._stated,
                 replay=replay,
                 tables={name: file_facts(self.path / name) for name in (EPISODES, TASKS)},
                 shards=tuple(

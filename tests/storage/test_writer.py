@@ -15,7 +15,9 @@ from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import FolderLock
+from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.versions import with_earlier
 
 SPEC = noise_spec()
 RECIPE = DatasetRecipe(environment="noise", episodes=7, frames=6, shard_episodes=3)
@@ -52,6 +54,38 @@ def test_extending_keeps_full_shards_and_gives_what_recording_at_once_gives(tmp_
             assert after[f"{kind}/shard-0000{index}.mcap"] == before[f"{kind}/shard-0000{index}.mcap"]
     write_noise(tmp_path / "at once", episodes=11)
     assert after == files_of(tmp_path / "at once")
+
+
+def test_what_goes_on_with_other_packages_names_those_of_before_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stated = []
+    for index, numpy in enumerate(("1.0", "2.0", "2.0")):
+        monkeypatch.setattr("dmotion_bench.storage.writer.versions", lambda _, numpy=numpy: {"numpy": numpy})
+        with DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC) as writer:
+            assert writer.versions == {"numpy": numpy}
+            stated.append(Manifest.read(tmp_path / "d").versions)
+            write_shard(writer, index)
+            if not writer.missing:
+                writer.finish()
+    assert stated == [{"numpy": "1.0"}, {"numpy": "1.0, 2.0"}, {"numpy": "1.0, 2.0"}]
+    assert Dataset.open(tmp_path / "d").manifest.versions == {"numpy": "1.0, 2.0"}
+
+
+def test_what_was_begun_with_other_packages_and_holds_no_shard_names_only_those_of_now(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for numpy in ("1.0", "2.0"):
+        monkeypatch.setattr("dmotion_bench.storage.writer.versions", lambda _, numpy=numpy: {"numpy": numpy})
+        DatasetWriter.create_or_resume(tmp_path / "d", RECIPE, SPEC).close()
+    assert Manifest.read(tmp_path / "d").versions == {"numpy": "2.0"}
+
+
+def test_versions_beyond_the_last_eight_are_left_out() -> None:
+    stated: dict[str, str] = {}
+    for version in range(20):
+        stated = with_earlier(stated, {"numpy": f"{version}.0"})
+    assert stated == {"numpy": ", ".join(f"{version}.0" for version in range(12, 20))}
 
 
 def test_while_it_is_extended_a_data_set_is_incomplete(tmp_path: Path) -> None:

@@ -204,15 +204,16 @@ def score_at_once(
     workspace: Workspace,
     hands: Hands,
     *,
+    keep: bool = True,
     batch_size: int = 64,
     data: Path | None = None,
     note: Callable[[str], None] = _nobody,
     warn: Callable[[str], None] = _nobody,
 ) -> tuple[dict[Path, Report], dict[str, str]]:
-    """Score runs by an executor; reports that are up to date are kept.
+    """Score runs by an executor, which shares the runs and, of control, groups of tasks.
 
     Args:
-        paths, metrics, settings, batch_size, data, note, warn: See ``scoring.score_runs``.
+        paths, metrics, settings, keep, batch_size, data, note, warn: See ``scoring.score_runs``.
         workspace: Where the jobs meet.
         hands: Who scores.
 
@@ -227,7 +228,7 @@ def score_at_once(
             run=path.absolute(),
             metrics=metrics,
             settings=settings,
-            renew=False,
+            renew=not keep,
             data=None if data is None else data.absolute(),
             batch_size=batch_size,
             device=hands.job_device,
@@ -249,7 +250,7 @@ def score_at_once(
                 path = own[outcome.run]
                 if outcome.error is None:
                     reports[path] = scored_report(path, settings.split, data, settings.control.column)
-                elif outcome.unfit and data is not None:
+                elif outcome.unfit and data is not None and keep:
                     warn(f"left out: {outcome.error}")
                 else:
                     failures[path.name] = outcome.error

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.api.settings import DEVICES, require_one_of
+from dmotion_bench.api.settings import DEVICES, EXECUTORS, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
 from dmotion_bench.cli.options import (
     METRICS,
     REFERENCES,
@@ -91,8 +90,23 @@ def score(
         ),
     ] = "float32",
     device: Device = "auto",
-    workers: Workers = None,
-    executor: ExecutorName = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="How many jobs run at a time; they share the runs and, of control, groups of tasks. Default: with "
+            "--all as many as there are processors and memory for, else one.",
+            show_default=False,
+        ),
+    ] = None,
+    executor: Annotated[
+        str | None,
+        typer.Option(
+            metavar=listed(EXECUTORS),
+            help="Where the jobs run: on this machine, in Ray, or as Slurm jobs.  [default: local]",
+            show_default=False,
+        ),
+    ] = None,
     cache: CacheFolder = None,
     as_json: AsJson = False,
 ) -> None:
@@ -116,7 +130,8 @@ def score(
             )
         if asked != ("control",) and (asked is not None or column is None):
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
-        require_all("score", workers, executor)
+        if given := [option for option, value in (("--workers", workers), ("--executor", executor)) if value]:
+            raise UsageError(f"one process scores a reference; leave out {' and '.join(given)}.")
         _references([str(one) for one in named], workspace.dataset(data), control, as_json=as_json)
         return
     if every and runs:
@@ -132,8 +147,6 @@ def score(
         control=control,
     )
     other = None if data is None else workspace.dataset(data)
-    if not every:
-        require_all("score", workers, executor)
     reports, failures = _scored(
         paths,
         asked,
@@ -179,8 +192,9 @@ def _scored(
 
     with BarOnDemand() as bar, jobs_bar("scoring") as (count, watch):
         hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)
-        if every and not hands.in_turn(len(paths)):
-            return score_at_once(paths, metrics, settings, workspace, hands, **how)
+        is_shared = every or workers is not None or executor is not None
+        if is_shared and not hands.in_turn(len(paths)):
+            return score_at_once(paths, metrics, settings, workspace, hands, keep=every, **how)
         return score_runs(paths, metrics, settings, device=device, keep=every, progress=bar, **how)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -17,6 +17,7 @@ from dmotion_bench.errors import RunError, RunMismatch, RunMissing, StorageFull,
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.settings import ScoreSettings
+from dmotion_bench.scoring.side_by_side import ScoreJob, ScoreOutcome
 
 FIGURE = {"mean": 15.04, "std": 90.0, "low": 12.5, "high": 18.0, "n": 700}
 SPEC = spec_with(preset="small", dataset="grid_world-small")
@@ -164,6 +165,33 @@ def test_a_full_disk_ends_it(run: Callable[..., Result], monkeypatch: pytest.Mon
     assert asked == ["a"]
 
 
+@pytest.mark.parametrize(("words", "runs", "renews"), [(["a"], ["a"], True), (["--all"], ["a", "b", "broken"], False)])
+def test_workers_share_named_runs_as_well_as_all(
+    run: Callable[..., Result],
+    shifted: str,
+    monkeypatch: pytest.MonkeyPatch,
+    words: list[str],
+    runs: list[str],
+    renews: bool,
+) -> None:
+    asked = list[ScoreJob]()
+
+    def score(jobs: Sequence[ScoreJob], _executor: object, *, progress: Path) -> Iterator[ScoreOutcome]:
+        assert progress.is_dir()
+        asked.extend(jobs)
+        yield from (ScoreOutcome(run=job.run, error="it does not fit.", unfit=True) for job in jobs)
+
+    monkeypatch.setattr("dmotion_bench.api.side_by_side.score_side_by_side", score)
+    result = run(*words, "--workers", "2", "--data", shifted)
+    assert [job.run.name for job in asked] == runs
+    assert {job.renew for job in asked} == {renews}
+    if renews:  # who names a run wants to know why it is not scored
+        assert "a: it does not fit." in str(result.exception)
+    else:
+        assert result.exit_code == 0
+        assert "left out: it does not fit." in result.stderr
+
+
 def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
     assert isinstance(run("broken").exception, RunMissing)
 
@@ -175,8 +203,8 @@ def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
         (["a", "--metrics", ""], UsageError, "names no group"),
         (["oracle"], UsageError, "score it with '--metrics control'"),
         (["oracle", "--metrics", "prediction", "--column", "generic"], UsageError, "score it with '--metrics control'"),
-        (["oracle", "--metrics", "control", "--workers", "2"], UsageError, "--workers shares many runs among workers"),
-        (["oracle", "--column", "generic", "--executor", "ray"], UsageError, "--executor shares many runs"),
+        (["oracle", "--metrics", "control", "--workers", "2"], UsageError, "leave out --workers."),
+        (["oracle", "--column", "generic", "--executor", "ray"], UsageError, "leave out --executor."),
         (["a", "oracle", "--metrics", "control"], UsageError, "name only references, or only runs"),
         (["a", "--data", "grid"], UnknownName, "no data set named 'grid'"),
         (["a", "--metrics", "control", "--planner", "cen"], UnknownName, "did you mean 'cem'"),
@@ -184,7 +212,7 @@ def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
         (["a", "--precision", "fp16"], UnknownName, "bf16"),
         (["a", "--device", "tpu"], UnknownName, "did you mean 'cpu'"),
         (["a", "--all"], UsageError, "not both"),
-        (["a", "--workers", "2"], UsageError, "give --all to score them"),
+        (["a", "--executor", "slurn"], UnknownName, "did you mean 'slurm'"),
         (["c"], UnknownName, "no run named 'c'"),
         ([], UsageError, "several runs are here"),
     ],

@@ -150,7 +150,8 @@ def test_a_killed_worker_of_ray_changes_no_figure(
 @pytest.mark.slow
 def test_ctrl_c_ends_all_jobs_and_says_how_to_go_on(trained: Path, tmp_path: Path) -> None:
     copied(trained, tmp_path)
-    words = ("score", "--all", "--metrics", "control", "--tasks", "3", "--workers", "2")
+    run = next((tmp_path / "runs").iterdir()).name
+    words = ("score", run, "--metrics", "control", "--tasks", "3", "--workers", "2")
     process = start_dmbench(words, tmp_path)
 
     def shares() -> list[Path]:

@@ -75,7 +75,7 @@ def test_episodes_and_splits_can_be_chosen(
     [
         (["sqares-tiny"], 2, "did you mean 'squares-tiny'"),
         (["squares-tiny", "squares-tiny"], 2, "only runs can be shown side by side"),
-        (["squares-tiny", "--data", "squares-tiny"], 2, "--data shows one run on another data set"),
+        (["squares-tiny", "--data", "squares-tiny"], 2, "--data shows one finished run on another data set"),
         (["squares-tiny", "--split", "tset"], 2, "did you mean 'test'"),
         (["squares-tiny", "--save", "out.mp4"], 2, "must end in .rrd"),
         (["squares-tiny", "--save", "out.rrd", "--episode", "10"], 2, "it has 0 to 9"),

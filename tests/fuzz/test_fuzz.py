@@ -43,10 +43,10 @@ def wait():
         pass
 
 def take_much():
-    taken.append(bytearray(b"x" * (300 << 20) if not taken else b""))
+    taken.append(b"x" * (300 << 20) if not taken else b"")
 
 taken = []
-child.CPU_S, child.MEMORY = 1, 256 << 20
+child.CPU_S, child.MEMORY = 2, 256 << 20  # a slow machine takes that much memory in a second
 spoilt("labels", forget)
 spoilt("tasks", wait)
 spoilt("video", take_much)

@@ -41,6 +41,7 @@ from dmotion_bench.scoring.score import score_model
 from dmotion_bench.scoring.settings import METRICS, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import report_folder, transfer_folders
+from dmotion_bench.sharing.wanted import entry_files
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.wording import shown
@@ -48,7 +49,7 @@ from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 from leaderboard.build import entry_of_run
 from leaderboard.control import check_control
 from leaderboard.entry import Entry, published_entry
-from leaderboard.entry_file import entry_files, read_entry
+from leaderboard.entry_file import read_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import take_pictures
 from leaderboard.rescored import against_samples, same_pictures, same_samples, same_scores, stored_samples

@@ -15,10 +15,11 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.sharing.wanted import entry_files
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_file import JsonUnreadable, parse_value, read_bounded
 from leaderboard.entry import HASH, Entry
-from leaderboard.layout import ENTRIES, REFERENCES, SCHEMA
+from leaderboard.layout import REFERENCES
 
 LARGEST: Final = 8 * 2**20
 """Bytes of an entry that are read, and of all the files that it shares."""
@@ -82,12 +83,6 @@ def read_entry(path: Path) -> Entry:
             f"{str(path)!r} is no entry of the leaderboard: {said}. "
             "Entries are written by 'dmbench leaderboard build'; what they hold is in leaderboard/schema.json."
         ) from None
-
-
-def entry_files(folder: Path) -> list[Path]:
-    """The files of a folder's entries, in the order of their names; of a leaderboard's folder those within it."""
-    is_leaderboard = (folder / SCHEMA).is_file() and (folder / ENTRIES).is_dir()
-    return sorted((folder / ENTRIES if is_leaderboard else folder).glob("*.json"))
 
 
 def read_entries(folder: Path) -> list[Entry]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Final
 
+from dmotion_bench.sharing import wanted
+
 PAGE: Final = "index.html"
-SCHEMA: Final = "schema.json"
-ENTRIES: Final = "entries"
+SCHEMA: Final = wanted.SCHEMA
+ENTRIES: Final = wanted.ENTRIES
 CHOSEN: Final = "chosen.toml"
 """Which rows a front page shows; written by hand, where there is one."""
 REFERENCES: Final = "references"

@@ -25,7 +25,7 @@ from dmotion_bench.sharing.contents import Shared, contents, find
 from dmotion_bench.sharing.place import open_place
 from dmotion_bench.sharing.pull import Pulled, pull_dataset, pull_run
 from dmotion_bench.sharing.push import Pushed, push_dataset, push_run
-from dmotion_bench.sharing.wanted import Wanted, wanted_by
+from dmotion_bench.sharing.wanted import Wanted, entry_files, wanted_by
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import file_facts
@@ -170,7 +170,7 @@ def pull_entries(
     """
     missing = []
     given = map(Path, listed(paths))
-    for file in (file for path in given for file in (_entry_files(path) if _holds_entries(path) else [path])):
+    for file in (file for path in given for file in (entry_files(path) if _holds_entries(path) else [path])):
         try:
             if not file.is_file() or wanted_by(file) is None:
                 continue
@@ -205,19 +205,13 @@ def _some(things: AnyPaths) -> list[AnyPath]:
 
 
 def _measured(folder: Path) -> list[Path]:
-    return [path for path in _entry_files(folder) if wanted_by(path) is not None]
-
-
-def _entry_files(folder: Path) -> list[Path]:
-    """The files of a folder's entries; of the whole folder of a leaderboard's page those within it."""
-    inner = folder / "entries"
-    return sorted((inner if inner.is_dir() and (folder / "schema.json").is_file() else folder).glob("*.json"))
+    return [path for path in entry_files(folder) if wanted_by(path) is not None]
 
 
 def _holds_entries(path: Path) -> bool:
     """Whether a path is a folder of entries."""
     sources = (RUN_MANIFEST, DATASET_MANIFEST)
-    return path.is_dir() and not any((path / name).exists() for name in sources) and bool(_entry_files(path))
+    return path.is_dir() and not any((path / name).exists() for name in sources) and bool(entry_files(path))
 
 
 def _telling(tell: Tell, verb: str) -> Callable[[str, int, int], None]:

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
-from dmotion_bench.api.settings import EXECUTORS
-from dmotion_bench.cli.options import AsJson, listed
+from dmotion_bench.cli.jobs import executor_option, workers_option
+from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.errors import Interrupted
 from dmotion_bench.wording import command, sentence
@@ -118,20 +118,14 @@ def data_import(
     ] = False,
     workers: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="How many recordings are read at a time. Default: one; with --executor, as there are processors and "
-            "memory for.",
-            show_default=False,
+        workers_option(
+            "How many recordings are read at a time. Default: one; with --executor, as there are processors and "
+            "memory for."
         ),
     ] = None,
     executor: Annotated[
         str | None,
-        typer.Option(
-            metavar=listed(EXECUTORS),
-            help="Where recordings are read: on this machine, in Ray, or as Slurm jobs.  [default: local]",
-            show_default=False,
-        ),
+        executor_option("Where recordings are read"),
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the data set. Default: data/imported-NAME.")] = None,
     as_json: AsJson = False,

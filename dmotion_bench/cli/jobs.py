@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Iterator, Mapping
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -16,22 +16,19 @@ if TYPE_CHECKING:
 
     from dmotion_bench.execution.job_progress import JobProgress
 
-Workers = Annotated[
-    int | None,
-    typer.Option(
-        min=1,
-        help="With --all: how many jobs run at a time. Default: as many as there are processors and memory for.",
-        show_default=False,
-    ),
-]
-ExecutorName = Annotated[
-    str | None,
-    typer.Option(
+
+def workers_option(meaning: str) -> Any:
+    """The option ``--workers``, of which this says what it means."""
+    return typer.Option(min=1, help=meaning, show_default=False)
+
+
+def executor_option(what: str) -> Any:
+    """The option ``--executor``; ``what`` is done there, in words such as "Where entries are checked"."""
+    return typer.Option(
         metavar=listed(EXECUTORS),
-        help="With --all: where the jobs run: on this machine, in Ray, or as Slurm jobs.  [default: local]",
+        help=f"{what}: on this machine, in Ray, or as Slurm jobs.  [default: local]",
         show_default=False,
-    ),
-]
+    )
 
 
 def require_all(name: str, workers: int | None, executor: str | None) -> None:

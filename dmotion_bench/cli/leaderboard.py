@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.api.settings import EXECUTORS, require_one_of
+from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
+from dmotion_bench.cli.jobs import executor_option, workers_option
 from dmotion_bench.cli.options import AsJson, listed
 from dmotion_bench.cli.stdout import print_json
 
@@ -89,20 +90,14 @@ def check(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="How many entries are checked at a time. Default: one; with --executor, as there are processors "
-            "and memory for.",
-            show_default=False,
+        workers_option(
+            "How many entries are checked at a time. Default: one; with --executor, as there are processors "
+            "and memory for."
         ),
     ] = None,
     executor: Annotated[
         str | None,
-        typer.Option(
-            metavar=listed(EXECUTORS),
-            help="Where entries are checked: on this machine, in Ray, or as Slurm jobs.  [default: local]",
-            show_default=False,
-        ),
+        executor_option("Where entries are checked"),
     ] = None,
     place: Annotated[
         str | None,

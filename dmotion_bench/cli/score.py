@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from dmotion_bench.api.settings import DEVICES, EXECUTORS, require_one_of
+from dmotion_bench.api.settings import DEVICES, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
+from dmotion_bench.cli.jobs import executor_option, workers_option
 from dmotion_bench.cli.options import (
     METRICS,
     REFERENCES,
@@ -92,20 +93,14 @@ def score(
     device: Device = "auto",
     workers: Annotated[
         int | None,
-        typer.Option(
-            min=1,
-            help="How many jobs run at a time; they share the runs and, of control, groups of tasks. Default: with "
-            "--all as many as there are processors and memory for, else one.",
-            show_default=False,
+        workers_option(
+            "How many jobs run at a time; they share the runs and, of control, groups of tasks. Default: with "
+            "--all as many as there are processors and memory for, else one."
         ),
     ] = None,
     executor: Annotated[
         str | None,
-        typer.Option(
-            metavar=listed(EXECUTORS),
-            help="Where the jobs run: on this machine, in Ray, or as Slurm jobs.  [default: local]",
-            show_default=False,
-        ),
+        executor_option("Where the jobs run"),
     ] = None,
     cache: CacheFolder = None,
     as_json: AsJson = False,

@@ -13,7 +13,7 @@ import typer
 
 from dmotion_bench.api.settings import DEVICES, LARGEST_SEED, TRACKERS, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.jobs import ExecutorName, Workers, require_all
+from dmotion_bench.cli.jobs import executor_option, require_all, workers_option
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import AsJson, Device, listed
 from dmotion_bench.cli.stdout import own_stdout, print_json
@@ -125,8 +125,13 @@ def train(
             "and MASTER_PORT of the first one and NODE_RANK, the machine's number from 0, in its environment.",
         ),
     ] = 1,
-    workers: Workers = None,
-    executor: ExecutorName = None,
+    workers: Annotated[
+        int | None,
+        workers_option(
+            "With --all: how many jobs run at a time. Default: as many as there are processors and memory for."
+        ),
+    ] = None,
+    executor: Annotated[str | None, executor_option("With --all: where the jobs run")] = None,
     stream: Annotated[
         bool | None,
         typer.Option(

@@ -153,9 +153,9 @@ class TaskData:
     seed: int
     episodes: int = 600
 
-    def folder(self, environment: str, settings: Sequence[str] = ()) -> str:
-        """The name of its folder; arguments as in ``words``."""
-        return "-".join([environment, *(setting.partition("=")[2] for setting in settings), self.name])
+    def label(self, settings: Sequence[str] = ()) -> str:
+        """What its folder is called after the environment; settings as in ``words``."""
+        return "-".join([*(setting.partition("=")[2] for setting in settings), self.name])
 
     def words(self, environment: str, settings: Sequence[str] = ()) -> str:
         """The command that records it.
@@ -167,7 +167,7 @@ class TaskData:
         return command(
             *("dmbench", "record", environment, *(word for setting in settings for word in ("--set", setting))),
             *("--episodes", str(self.episodes), "--tasks", str(TASKS), "--seed", str(self.seed)),
-            *("--out", f"data/{self.folder(environment, settings)}"),
+            *("--out", f"data/{environment}-{self.label(settings)}"),
         )
 
 

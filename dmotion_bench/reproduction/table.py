@@ -71,7 +71,7 @@ class World:
         """The data set of a protocol's tasks, as its own command (``TaskData.words``) records it."""
         return cls(
             environment=environment,
-            name=data.folder(environment, settings).removeprefix(f"{environment}-"),
+            name=data.label(settings),
             episodes=data.episodes,
             tasks=TASKS,
             seed=data.seed,

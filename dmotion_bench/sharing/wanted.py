@@ -12,6 +12,11 @@ from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import read_json
 from dmotion_bench.wording import shown
 
+SCHEMA: Final = "schema.json"
+"""Lies in the folder of a leaderboard's page, beside the one of its entries."""
+
+ENTRIES: Final = "entries"
+
 _LARGEST: Final = 8 * 2**20  # bytes of an entry that are read
 
 
@@ -28,6 +33,12 @@ class Wanted:
     weights: str
     samples: str
     datasets: dict[str, str]
+
+
+def entry_files(folder: Path) -> list[Path]:
+    """The files of a folder's entries, in the order of their names; of a leaderboard's folder those within it."""
+    is_leaderboard = (folder / SCHEMA).is_file() and (folder / ENTRIES).is_dir()
+    return sorted((folder / ENTRIES if is_leaderboard else folder).glob("*.json"))
 
 
 def wanted_by(entry: Path) -> Wanted | None:

@@ -144,20 +144,23 @@ def test_a_name_that_is_longer_than_any_file_s_is_not_found(server: LeaderboardS
     assert _get(server, f"/entries/{'a' * 300}.json")[0] == 404
 
 
-def test_a_file_that_is_replaced_meanwhile_is_given_as_a_whole(tmp_path: Path) -> None:
+def test_a_file_that_is_replaced_meanwhile_is_given_as_a_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A page is built anew while it is served."""
     page, new = tmp_path / "page", tmp_path / "new"
     page.write_text("old")
     new.write_text("new, and longer")
 
-    class Replaced(type(page)):  # type: ignore[misc]
-        def open(self, *args: Any, **more: Any) -> Any:
-            new.replace(page)
-            return super().open(*args, **more)
+    right = Path.open
+
+    def replaced(self: Path, *args: Any, **more: Any) -> Any:
+        new.replace(page)
+        return right(self, *args, **more)
+
+    monkeypatch.setattr(Path, "open", replaced)
 
     class Server(loopback_server.LoopbackServer):
         def find(self, path: str, origin: str) -> loopback_server.Served:
-            return loopback_server.Served(file=Replaced(page), kind="text/plain")
+            return loopback_server.Served(file=page, kind="text/plain")
 
     with Server() as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)

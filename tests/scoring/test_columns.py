@@ -176,7 +176,7 @@ def test_the_document_has_the_hashes_of_the_columns_and_of_the_test_tasks() -> N
         for settings, tasks in world.test_tasks[1].items():
             assert f"| {', '.join([name, *settings.split()])} | `{tasks}` |" in DOC
             said = (
-                (f"--set {settings}", f"data/{TEST.folder(name, settings.split())}")
+                (f"--set {settings}", f"data/{name}-{TEST.label(settings.split())}")
                 if settings
                 else (TEST.words(name),)
             )

@@ -35,8 +35,8 @@ def reproduce(
         typer.Argument(
             metavar=listed(TABLES),
             help="The table. paper: tables I and II of the DMotion paper. control: control by frozen planners on test "
-            "tasks (protocols dmbench-2 to dmbench-4), and prediction. continuous: the same with continuous actions, by "
-            "the first of these planners. labels: figures by the number of labelled "
+            "tasks (protocols dmbench-2 to dmbench-4), and prediction. continuous: the same with continuous actions, "
+            "by the first of these planners. labels: figures by the number of labelled "
             "transitions. A package of your own can add others.",
         ),
     ],

@@ -11,7 +11,7 @@ import json
 import logging
 import time
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -220,12 +220,19 @@ class Journal:
         if self._path is not None:
             self._path.unlink(missing_ok=True)
 
-    def take_over(self, share: Path) -> None:
-        """Take up the tasks of another journal of the same key, as far as it is ahead."""
+    def take_over(self, share: Path, *, only: Collection[int] | None = None) -> None:
+        """Take up the tasks of another journal of the same key, as far as it is ahead.
+
+        Args:
+            share: The file.
+            only: Numbers of the tasks that are taken up; all of them by default.
+        """
         other = Journal(None, self._key, self._extent)
         other._accepted = self._accepted
         other._read(share)
         for number, record in other._records.items():
+            if only is not None and number not in only:
+                continue
             if len(record.actions) > len(self._records.get(number, TaskRecord()).actions):
                 self._records[number] = record
                 self._memory.pop(number, None)

@@ -169,6 +169,7 @@ def score_control(
     device: torch.device | None = None,
     progress: Advance = lambda _: None,
     checkpoint: Path | None = None,
+    begun: Path | None = None,
     numbers: Sequence[int] | None = None,
     problems: Sequence[Problem] | None = None,
 ) -> ControlResult:
@@ -183,6 +184,7 @@ def score_control(
         checkpoint: A file to go on from after an interruption; it is left there when all is done, so that asking
             again costs nothing, and asking for more tasks only those. One that belongs to something else is
             overwritten. Shares of it (``share_of``) are taken over.
+        begun: Another such file, whose progress with these tasks is taken over where it is ahead.
         numbers: Of the tasks to work on, in place of those of ``scoring``; whole groups, or the rounding differs.
         problems: The tasks to work on, where they are loaded already.
 
@@ -195,12 +197,15 @@ def score_control(
     if problems is None:
         require_tasks(dataset)
         problems = load_problems(dataset, scoring.tasks if numbers is None else numbers)
+    journal = journal_of(checkpoint, model, dataset, scoring, device)
+    if begun is not None:
+        journal.take_over(begun, only={problem.number for problem in problems})
     return control(
         agent_of(model, dataset, scoring, device),
         problems,
         lambda: task_environment(dataset.recipe),
         ControlSettings(steps=scoring.steps, seed=scoring.seed, group=scoring.group),
-        journal=journal_of(checkpoint, model, dataset, scoring, device),
+        journal=journal,
         on_progress=progress,
     )
 

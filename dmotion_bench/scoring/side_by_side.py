@@ -2,7 +2,8 @@
 
 Jobs are plain values. A group's job keeps what it did in a journal of its own beside the run's report
 (``planning/journal.py``); the run's job takes these over and has nothing left to plan. So the figures are those of
-runs that are scored in turn, and a job that was killed goes on where it stopped.
+runs that are scored in turn, and a job that was killed goes on where it stopped, also one of a run that was scored
+in turn until then.
 
 Runs that share a training are one job, which scores one after the other: what their models predict by latent actions
 is the same, and is computed once.
@@ -127,6 +128,7 @@ def _control_share(job: ScoreJob, how: Execution) -> None:
     run, tasks = Run.open(job.run), job.tasks or ()
     data, folder = scored_data(run, job.settings.split, job.data, job.settings.control.column)
     folder.mkdir(parents=True, exist_ok=True)
+    journal = folder / CONTROL_JOURNAL
 
     def show(progress: ControlProgress) -> None:
         how.progress(f"control, tasks {tasks[0]} to {tasks[-1]}", progress.steps, progress.total)
@@ -138,7 +140,8 @@ def _control_share(job: ScoreJob, how: Execution) -> None:
             job.settings.control,
             device=how.device,
             progress=show,
-            checkpoint=share_of(folder / CONTROL_JOURNAL, tasks[0]),
+            checkpoint=share_of(journal, tasks[0]),
+            begun=journal,
             numbers=tasks,
         )
 

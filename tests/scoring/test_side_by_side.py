@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from dmotion_bench.execution.local_executor import local_executor
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring import side_by_side
-from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.control import ControlScoring, score_control
 from dmotion_bench.scoring.kept_control import shares_of
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.score import score_run
@@ -83,6 +83,21 @@ def test_control_in_shares_is_control_in_one_piece(job: MakeJob, monkeypatch: py
     assert _told(shared.run) == _told(whole.run)
     assert not shares_of(shared.run / "report" / "control.json")
     assert not list(control_shares(shared))  # it is scored
+
+
+def test_shares_go_on_where_control_in_one_piece_stopped(
+    job: MakeJob, tasks: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    begun = job("begun")
+    run, journal = Run.open(begun.run), begun.run / "report" / "control.json"
+    journal.parent.mkdir()
+    score_control(run.model, tasks, replace(SCORING, tasks=2), checkpoint=journal)
+    first, second, _ = control_shares(begun)
+
+    monkeypatch.setattr(Known, "predict", None)
+
+    assert score_job(first).error is None  # nothing was left to plan
+    assert score_job(second).error is not None
 
 
 @pytest.mark.slow

@@ -1,4 +1,8 @@
-"""Predictions of sequences of continuous actions: no two begin alike, so only whole repetitions are shared."""
+"""Predictions of sequences of continuous actions.
+
+No two begin alike, so only whole repetitions are shared, and what a model can say of a task's state before it knows the
+first action.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from dmotion_bench.errors import PlannerContractBroken
-from dmotion_bench.planning.dynamics.base import Dynamics, Observation
+from dmotion_bench.planning.dynamics.base import Dynamics, Observation, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
 from dmotion_bench.planning.solvers.base import are_within
 from dmotion_bench.planning.solvers.search import Search
@@ -42,22 +46,24 @@ class Rollouts(Search):
         names = [(task, one.tobytes()) for task, own in enumerate(sequences) for one in own]
         given = dict(zip(names, sequences.reshape(-1, *sequences.shape[2:]), strict=True))
         new = [name for name in given if name not in self._known]
-        for first in range(0, len(new), self._dynamics.at_once):
-            part = new[first : first + self._dynamics.at_once]
-            with self._dynamics.computing():
+        with self._dynamics.computing():  # once for all, so that autocast keeps the weights that it has rounded
+            for first in range(0, len(new), self._dynamics.at_once):
+                part = new[first : first + self._dynamics.at_once]
                 actions = torch.from_numpy(np.stack([given[name] for name in part])).float()
                 found = self.predict(torch.tensor([task for task, _ in part]), actions)
-            self._known |= dict(zip(part, found.cpu().double().numpy(), strict=True))
+                self._known |= dict(zip(part, found.cpu().double().numpy(), strict=True))
         return np.array([self._known[name] for name in names]).reshape(*sequences.shape[:3], 1 + len(PARTS))
 
     def predict(self, task: Int[Tensor, " n"], actions: Float[Tensor, "n t a"]) -> Float[Tensor, "n t 4"]:
         """The costs of sequences and their parts, within ``dynamics.computing()``; gradients reach the actions."""
         dynamics = self._dynamics
         task, actions = task.to(dynamics.device), actions.to(dynamics.device)
-        state, carried = (tuple(one[task] for one in parts) for parts in (self._start, self._carried))
+        first, *others = actions.unbind(1)
+        state, carried = branched(dynamics, self._start, task, first), tuple(one[task] for one in self._carried)
         costs = []
-        for action in actions.unbind(1):
-            state = dynamics.step(state, action)
+        for number, action in enumerate((first, *others)):
+            if number:
+                state = dynamics.step(state, action)
             cost, carried = self._evaluator.step(dynamics, state, task, action, carried)
             costs.append(cost.stacked())
         self.frames += actions.shape[0] * actions.shape[1]

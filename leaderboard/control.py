@@ -50,6 +50,8 @@ NOTHING: Final = "none"
 
 MOST_STEPS: Final = 1000
 MOST_GROUP: Final = 64
+MOST_PLANNED: Final = 10_000
+"""Of samples, steps ahead and whatever else a planner counts: planning more anew would take a machine's memory."""
 ROUNDING: Final = 1e-4
 """Relative and absolute; between the distances of two simulations, kept as float32."""
 
@@ -136,10 +138,12 @@ def check_control(
     if scoring.column is not None and is_test(dataset):
         _expect_frozen(check, scoring)
     problems = load_problems(dataset, scoring.tasks)
-    if check.entry.planned_by == CONTROL_VERSION and content.get("planning"):
-        said = present_planning(content["planning"])
-        for part, own in scoring.planning(dataset, needs_pixels=run.model.needs_pixels).items():
-            check.expect(f"planning.{part}", said.get(part), own)
+    said = present_planning(content["planning"]) if content.get("planning") else {}
+    planning = dict[str, Any]()
+    if check.entry.planned_by == CONTROL_VERSION and (said or anew):
+        planning = scoring.planning(dataset, needs_pixels=run.model.needs_pixels)
+    for part, own in planning.items() if said else ():
+        check.expect(f"planning.{part}", said.get(part), own)
     found = dict[str, pa.Table]()
     for name in sorted({MODEL, *content[METRIC]}):
         actions = _actions(check, name, problems, scoring.steps, known_actions(dataset.spec))
@@ -148,7 +152,7 @@ def check_control(
         repeater = _Repeater(actions, known_actions(dataset.spec))
         result = _control(repeater, problems, dataset, scoring, how, f"control by {name}, again")
         found[name] = control_samples(name, result)
-        if name == MODEL and anew and check.entry.planned_by == CONTROL_VERSION:
+        if name == MODEL and anew and planning and _can_be_planned(check, planning):
             _plan_anew(check, run, dataset, problems, scoring, actions, differing, draw, how)
     if anew:
         found |= {name: _reference(name, dataset, scoring, how) for name in _quick(dataset)}
@@ -192,6 +196,21 @@ def _scoring(check: Findings) -> ControlScoring | None:
             "scored it"
         )
     return ControlScoring.from_json(given)
+
+
+def _can_be_planned(check: Findings, planning: Mapping[str, Mapping[str, Any]]) -> bool:
+    """Whether planning anew stays within bounds; if not, that it was not checked is said."""
+    beyond = {
+        f"{part}.{name}": value
+        for part, own in planning.items()
+        for name, value in own.items()
+        if type(value) is int and value > MOST_PLANNED
+    }
+    check.missing += [
+        f"control: planning.{name} is {value}; nothing is planned anew with more than {MOST_PLANNED}"
+        for name, value in beyond.items()
+    ]
+    return not beyond
 
 
 def _expect_frozen(check: Findings, scoring: ControlScoring) -> None:

@@ -46,9 +46,18 @@ for (const board of document.querySelectorAll(".board")) {
   }
 }
 
+// The element that a link's end names; none for what no link of this page says, such as a lone percent sign.
+const named = (name) => {
+  try {
+    return document.getElementById(decodeURIComponent(name));
+  } catch {
+    return null;
+  }
+};
+
 // A link to an entry unfolds it.
 const unfold = () => {
-  const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  const target = named(location.hash.slice(1));
   if (target instanceof HTMLDetailsElement) {
     target.open = true;
     target.scrollIntoView();

@@ -11,10 +11,10 @@ from typing import Final, SupportsIndex
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import EXECUTORS, number, require_one_of, whole
 from dmotion_bench.errors import UsageError
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
-from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import ExportReport, export_lerobot, has_labels

@@ -14,10 +14,10 @@ from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import EXECUTORS, require_one_of, share, whole
 from dmotion_bench.api.sharing import pull_entries
 from dmotion_bench.errors import UsageError
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
-from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.pairing import Difference
 from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.specs import SplitName

@@ -9,10 +9,10 @@ from typing import SupportsIndex
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import LARGEST_SEED, Settings, as_preset, as_texts, whole
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress
-from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.recording.preset import USUAL_RANGES, recipe_for
 from dmotion_bench.recording.session import Progress as Done
 from dmotion_bench.recording.session import Recorded, record_dataset, recording_folder

@@ -12,8 +12,8 @@ import torch
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of, whole
 from dmotion_bench.errors import DmbenchError, RunMismatch, StorageFull, UsageError
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.job_progress import JobProgress
-from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.learning.hardware.threads import scoring_shortage
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.choices import DEFAULT_SOLVER

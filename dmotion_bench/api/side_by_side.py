@@ -12,10 +12,10 @@ import torch
 
 from dmotion_bench.api.scoring import changed_code, compute_device
 from dmotion_bench.errors import RunError
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
-from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest

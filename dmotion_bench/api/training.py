@@ -23,8 +23,8 @@ from dmotion_bench.api.settings import (
 )
 from dmotion_bench.entry_points import MODELS, is_built_in
 from dmotion_bench.errors import DmbenchError, ModelContractBroken, RunMissing, UsageError
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.job_progress import JobProgress
-from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.execution.processes import place
 from dmotion_bench.learning.data.label_request import first_budget
 from dmotion_bench.learning.data.triplets import SplitProtocol

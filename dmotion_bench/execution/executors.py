@@ -6,8 +6,9 @@ from collections.abc import Callable
 from pathlib import Path
 
 from dmotion_bench.errors import UnknownName
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import Executor, JobSize
-from dmotion_bench.execution.local_executor import available_workers, local_executor
+from dmotion_bench.execution.local_executor import local_executor
 from dmotion_bench.execution.ray_executor import RayExecutor
 from dmotion_bench.execution.slurm_executor import SlurmExecutor
 

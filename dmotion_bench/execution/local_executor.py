@@ -11,7 +11,6 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context, parent_process
 from multiprocessing.context import BaseContext
-from pathlib import Path
 from threading import Thread
 from typing import Final, cast
 
@@ -156,20 +155,3 @@ def _become_worker(environment: dict[str, str]) -> None:
 def local_executor(workers: int) -> Executor:
     """An executor with one process or several."""
     return SerialExecutor() if workers <= 1 else LocalExecutor(workers)
-
-
-def available_workers(gigabytes: float = 0.0) -> int:
-    """How many processes this machine has processors for, and memory that nobody uses, if each takes so much of it."""
-    processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    free = _free_gigabytes() if gigabytes else None
-    return processors if free is None else max(1, min(processors, int(free / gigabytes)))
-
-
-def _free_gigabytes() -> float | None:
-    """Memory that could be had without swapping; None where the system does not say."""
-    try:
-        lines = Path("/proc/meminfo").read_text().splitlines()
-        kilobytes = next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable:"))
-    except (OSError, ValueError, StopIteration):
-        return None
-    return kilobytes / 2**20

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
+from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result, Sendable
-from dmotion_bench.execution.local_executor import available_workers
 from dmotion_bench.wording import counted
 from dmotion_bench.workspace import CACHE_VARIABLE
 

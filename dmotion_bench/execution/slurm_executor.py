@@ -17,6 +17,7 @@ from typing import Any, Final, Generic, Literal
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
 from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result, Sendable
+from dmotion_bench.wording import shown
 
 _NAME: Final = "dmbench"  # of all our jobs
 _ARRAY: Final = 1000  # tasks in a job array that every Slurm allows
@@ -37,7 +38,7 @@ class SlurmExecutor:
 
     Raises:
         PackageNotInstalled: There is no submitit here.
-        DmbenchError: There is no Slurm here.
+        DmbenchError: There is no Slurm here, or the folder's path has a sign that Slurm replaces.
     """
 
     def __init__(
@@ -55,6 +56,11 @@ class SlurmExecutor:
             raise DmbenchError(
                 "there is no Slurm here: 'sbatch', 'srun' and 'sacct' are not on the path; run this on a login node, "
                 "or use this machine with '--executor local'."
+            )
+        if cluster == "slurm" and "%" in (place := str(folder.absolute())):
+            raise DmbenchError(
+                f"Slurm would replace the '%' in {shown(place)}, where its jobs' files would be; use a workspace "
+                "without it in its path."
             )
         self._submitit: Any = submitit
         self._workers, self._folder, self._cluster = workers, folder.absolute(), cluster

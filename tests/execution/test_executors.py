@@ -217,6 +217,13 @@ def test_what_slurm_refuses_is_a_sentence(tmp_path: Path, slurm: Path, capfd: py
 
 
 @needs_submitit
+@pytest.mark.usefixtures("slurm")
+def test_a_path_that_slurm_would_change_is_a_sentence(tmp_path: Path) -> None:
+    with pytest.raises(DmbenchError, match=r"^Slurm would replace the '%' in '.*100%/jobs'.*workspace without it"):
+        make_executor("slurm", 2, tmp_path / "100%" / "jobs")
+
+
+@needs_submitit
 @pytest.mark.parametrize("workers", [1, 3, 64, 700, 1500])
 def test_arrays_beside_each_other_never_run_more_tasks_than_workers(workers: int, tmp_path: Path, slurm: Path) -> None:
     executor = SlurmExecutor(workers, tmp_path)

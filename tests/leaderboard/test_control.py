@@ -135,6 +135,18 @@ def test_what_the_entry_says_of_its_control_counts(
     assert any(finding.startswith(said) for finding in findings), findings
 
 
+def test_a_search_without_bounds_is_not_planned_anew(controlled: Workspace, entry: Entry) -> None:
+    content = _content(entry)
+    content["settings"]["control_planner_set"] = ["samples=1000000000", *FEW[1:]]
+    content["planning"]["solver"]["samples"] = 10**9
+
+    verdict = check_entry(Entry(content), controlled, CheckSettings())
+
+    said = "control: planning.solver.samples is 1000000000; nothing is planned anew with more than 10000"
+    assert verdict.missing == (said,)
+    assert not any("planned anew (" in remark for remark in verdict.remarks)
+
+
 def test_a_planner_that_is_not_installed_is_missing_and_no_lie(controlled: Workspace, entry: Entry) -> None:
     content = _content(entry)
     content["settings"]["control_planner"] = "luck"

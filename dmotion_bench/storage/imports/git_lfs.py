@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import stat
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import RecordingNotFetched
+from dmotion_bench.errors import RecordingImportError, RecordingNotFetched
 
 IS_POINTER: Final = "is a pointer of Git LFS and not the file itself; fetch the files with 'git lfs pull'"
 _START: Final = b"version https://git-lfs"
@@ -17,12 +18,15 @@ def is_pointer(start: bytes) -> bool:
 
 
 def require_content(file: Path) -> None:
-    """Check that a file is not a pointer; whoever reads it says what else is wrong with it.
+    """Check that a file is not a pointer, nor a pipe; whoever reads it says what else is wrong with it.
 
     Raises:
         RecordingNotFetched: It is a pointer.
+        RecordingImportError: It would be waited for.
     """
     try:
+        if not stat.S_ISREG(file.stat().st_mode):
+            raise RecordingImportError(f"{str(file)!r} is no ordinary file.")
         with file.open("rb") as opened:
             start = opened.read(len(_START))
     except OSError:

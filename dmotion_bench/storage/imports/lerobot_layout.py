@@ -200,11 +200,19 @@ class LeRobotLayout:
         return placed
 
     def files(self, camera: str) -> list[Path]:
-        """The files that are read, in the order of their names."""
+        """The files that are read, in the order of their names.
+
+        Raises:
+            RecordingImportError: One of them is a folder, or a pipe.
+        """
         pictures = self._videos(camera) if self.kind(camera) == "video" else f"images/{camera}/*/*"
         episodes = EPISODES_V2.as_posix() if self.is_v2 else EPISODES_V3
         found = [self.path.glob(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
-        return sorted([self.path / INFO, *itertools.chain(*found)])
+        files = sorted([self.path / INFO, *itertools.chain(*found)])
+        for file in files:
+            if not file.is_file():
+                raise self.bad(f"has {file.relative_to(self.path).as_posix()!r}, which is no ordinary file")
+        return files
 
     def picture_file(self, camera: str, episode: int, frame: int) -> Path:
         """A picture that lies beside the tables.

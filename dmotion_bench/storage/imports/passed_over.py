@@ -156,6 +156,8 @@ def arrays_in(folder: Path) -> tuple[Path, str] | None:
 
 def is_dataset(folder: Path) -> bool:
     """Whether a folder holds a data set of dmbench, by the beginning of its manifest."""
+    if not (folder / DATASET_MANIFEST).is_file():  # a pipe would be waited for
+        return False
     try:
         with (folder / DATASET_MANIFEST).open("rb") as file:
             return _OWN_FORMAT.search(file.read(4096)) is not None

@@ -33,6 +33,7 @@ from dmotion_bench.scoring.prediction import Execution
 from dmotion_bench.scoring.score import CONTROL_JOURNAL, is_scored, score_run, scored_data
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
+from dmotion_bench.storage.lock import in_turn
 
 _SHARED: Final = SharedSamples()
 """Of the present process: a worker computes once what the runs that it scores have in common."""
@@ -128,19 +129,19 @@ def _control_share(job: ScoreJob, how: Execution) -> None:
     run, tasks = Run.open(job.run), job.tasks or ()
     data, folder = scored_data(run, job.settings.split, job.data, job.settings.control.column)
     folder.mkdir(parents=True, exist_ok=True)
-    journal = folder / CONTROL_JOURNAL
+    journal, share = folder / CONTROL_JOURNAL, share_of(folder / CONTROL_JOURNAL, tasks[0])
 
     def show(progress: ControlProgress) -> None:
         how.progress(f"control, tasks {tasks[0]} to {tasks[-1]}", progress.steps, progress.total)
 
-    with using_threads(run.threads):
+    with in_turn(share), using_threads(run.threads):  # another command finds it done
         score_control(
             run.model,
             data,
             job.settings.control,
             device=how.device,
             progress=show,
-            checkpoint=share_of(journal, tasks[0]),
+            checkpoint=share,
             begun=journal,
             numbers=tasks,
         )

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_job, score_side_by_side
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.lock import in_turn
 
 FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
 SCORING = ControlScoring(tasks=5, steps=4, group=2, planner_set=FEW)
@@ -98,6 +101,20 @@ def test_shares_go_on_where_control_in_one_piece_stopped(
 
     assert score_job(first).error is None  # nothing was left to plan
     assert score_job(second).error is not None
+
+
+def test_a_share_that_another_command_works_on_is_waited_for(job: MakeJob) -> None:
+    share = next(iter(control_shares(job("a"))))
+    folder = share.run / "report"
+    folder.mkdir()
+    with ThreadPoolExecutor(1) as other:
+        with in_turn(folder / "control-0.json"):
+            outcome = other.submit(score_job, share)
+            time.sleep(0.3)
+            assert not outcome.done()
+            assert not shares_of(folder / "control.json")
+        assert outcome.result(timeout=60).error is None
+    assert len(shares_of(folder / "control.json")) == 1
 
 
 @pytest.mark.slow

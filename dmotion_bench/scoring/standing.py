@@ -10,7 +10,7 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from dmotion_bench.errors import UnknownName
+from dmotion_bench.errors import DmbenchError, UnknownName
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
@@ -39,13 +39,23 @@ def samples_of(samples: pa.Table, metrics: Collection[str]) -> pa.Table:
 
 
 def with_standing(settings: ScoreSettings, report: Report, metrics: tuple[str, ...]) -> ScoreSettings:
-    """Take the settings of groups that are not asked for from the report."""
+    """Take the settings of groups that are not asked for from the report.
+
+    Raises:
+        DmbenchError: It holds control by a planner that is not installed.
+    """
     if "rollout" not in metrics:
         settings = replace(settings, horizon=report.settings["horizon"])
     if "gain" not in metrics and "gain" in report.settings["metrics"]:
         settings = replace(settings, gain=GainScoring.from_json(report.settings))
     if "control" not in metrics and "control" in report.settings["metrics"]:
-        settings = replace(settings, control=ControlScoring.from_json(report.settings))
+        try:
+            settings = replace(settings, control=ControlScoring.from_json(report.settings))
+        except UnknownName as error:
+            raise DmbenchError(
+                f"the run's report holds control by what is not installed here: {error} Install the package that "
+                "brings it, or move the report away to begin another."
+            ) from None
     return settings
 
 

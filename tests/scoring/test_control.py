@@ -17,7 +17,7 @@ import pytest
 from known_model import Known
 from torch import Tensor
 
-from dmotion_bench.errors import DatasetError, FolderInUse, UnknownName
+from dmotion_bench.errors import DatasetError, DmbenchError, FolderInUse, UnknownName
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
 from dmotion_bench.planning.objectives.tracked import Tracked
@@ -288,6 +288,17 @@ def test_control_stays_where_its_environment_is_not_installed(run: Run, monkeypa
     assert kept.planning == before.planning
     with pytest.raises(UnknownName):
         score(run, "control")
+
+
+def test_control_by_a_planner_that_is_not_installed_is_not_dropped(run: Run) -> None:
+    score(run)
+    stored = json.loads((file := run.path / "report" / "report.json").read_text())
+    stored["settings"]["control_planner"] = "luck"
+    file.write_text(json.dumps(stored))
+
+    with pytest.raises(DmbenchError, match=r"holds control by what is not installed here: .*'luck'.* Install the pack"):
+        score(run, "prediction")
+    assert json.loads(file.read_text()) == stored
 
 
 def test_figures_of_other_settings_are_not_kept(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -23,6 +23,7 @@ import torch
 from dmotion_bench.errors import DmbenchError, JobsLost, RunMismatch
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training.shared_pretraining import training_of
@@ -126,6 +127,7 @@ def _by_training(jobs: Sequence[ScoreJob]) -> list[tuple[ScoreJob, ...]]:
 
 def _control_share(job: ScoreJob, how: Execution) -> None:
     """Work on some control tasks of a run, and leave what was done where the run's own job finds it."""
+    keep_freed_memory()
     run, tasks = Run.open(job.run), job.tasks or ()
     data, folder = scored_data(run, job.settings.split, job.data, job.settings.control.column)
     folder.mkdir(parents=True, exist_ok=True)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn, TypeVar
 
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.storage.json_file import parse_json
 from dmotion_bench.values import parse_value
 
 ConfigT = TypeVar("ConfigT")
@@ -68,16 +69,15 @@ def to_json(config: Any) -> dict[str, Any]:
     """A config as JSON's types, to be read again by ``from_json``.
 
     Raises:
-        InvalidSetting: A field has a value that JSON has no type for.
+        InvalidSetting: A field has a value that JSON has no type for, or one that no run and no report is read with.
     """
     try:
-        plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+        return parse_json(json.dumps(dataclasses.asdict(config)))
     except (TypeError, ValueError) as error:
         raise InvalidSetting(
-            f"the settings of {type(config).__qualname__} cannot be kept in JSON: {error}. A field can be a number, a "
-            "word, True, False, None, a tuple or a config of these."
+            f"the settings of {type(config).__qualname__} cannot be kept in JSON: {error}. A field can be a finite "
+            "number, a word, True, False, None, a tuple or a config of these."
         ) from None
-    return plain
 
 
 def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:

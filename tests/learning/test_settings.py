@@ -59,6 +59,13 @@ def test_what_json_has_no_type_for_is_refused() -> None:
         to_json(config)
 
 
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), 10**30, (1.0, float("-inf"))])
+def test_what_no_run_could_be_read_with_is_refused_before_it_begins(value: Any) -> None:
+    config = dataclasses.make_dataclass("Own", [("limit", Any, dataclasses.field(default=value))], frozen=True)()
+    with pytest.raises(InvalidSetting, match=r"cannot be kept in JSON: it holds the (whole )?number .*finite number"):
+        to_json(config)
+
+
 def test_a_field_of_another_version_is_refused() -> None:
     with pytest.raises(InvalidSetting, match="another version"):
         from_json(DMotionConfig, {**to_json(DMotionConfig()), "rotations": 4})

@@ -123,9 +123,17 @@ def pull_run(
 
 
 def _only(place: Place, weights: str, share: str, samples: str) -> RunShare:
-    """The one that is meant of what is published of a run."""
+    """The one that is meant of what is published of a run; of several that hold the samples the one with most files.
+
+    A run that was scored on further data and published again has its earlier reports in both manifests. Who checks its
+    entries one after the other needs the later one for some of them, and a run that is here is never replaced.
+    """
     address = f"{place.address}/{RUNS}/{weights}"
-    found = [(digest, one) for digest, one in shares_of(place, weights) if digest.startswith(share)]
+    known = list(shares_of(place, weights))
+    found = [(digest, one) for digest, one in known if digest.startswith(share)]
+    if known and not found:
+        listed = ", ".join(f"{weights[:12]}/{digest[:12]}" for digest, _ in known[:8])
+        raise ShareMissing(f"{shown(address)} has no manifest that begins with {share[:12]}; it has {listed}.")
     sound = {digest: one for digest, one in found if isinstance(one, RunShare)}
     fitting = {digest: one for digest, one in sound.items() if not samples or samples in one.samples}
     if not found:
@@ -147,7 +155,7 @@ def _only(place: Place, weights: str, share: str, samples: str) -> RunShare:
             f"{weights[:12]}/{digest[:12]} is {one.name}, {len(one.samples)} reports" for digest, one in fitting.items()
         )
         raise UsageError(f"several reports of these weights are published; name the entry, or one of: {choices}.")
-    return next(iter(fitting.values()))
+    return max(fitting.values(), key=lambda one: len(one.files))
 
 
 def _require_same(target: Path, files: Files) -> None:

@@ -6,6 +6,7 @@ import dataclasses
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_tables import CONTROL, TABLE
 
@@ -33,9 +34,15 @@ def test_a_part_of_a_table_is_chosen_by_names() -> None:
         ({"models": ["dmotoin"]}, UnknownName, "did you mean 'dmotion'"),
         ({"worlds": ["push_t"]}, UnknownName, "no world of this table named 'push_t'"),
         ({"seeds": []}, UsageError, "no seed is named"),
+        ({"seeds": 0}, UsageError, "seeds is 0; give a list of whole numbers"),
+        ({"seeds": "01"}, UsageError, "seeds is '01'; give a list of whole numbers"),
+        ({"seeds": [0, -1]}, InvalidSetting, "a seed is -1; it must be a whole number from 0"),
+        ({"seeds": ["1"]}, InvalidSetting, "a seed is '1'"),
+        ({"seeds": [True]}, InvalidSetting, "a seed is True"),
     ):
         with pytest.raises(kind, match=says):
             registry.table("paper").narrowed(**wrong)
+    assert registry.table("paper").narrowed(models="dmotion", seeds=np.arange(2)).seeds == (0, 1)
     with pytest.raises(InvalidSetting, match="two columns of a table have the same name"):
         dataclasses.replace(TABLE, columns=TABLE.columns * 2)
 

@@ -48,7 +48,8 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
         option: Of the command line that they were given with.
 
     Raises:
-        InvalidSetting: No config has the key (the closest is named), or the value is not of its type.
+        InvalidSetting: No config has the key (the closest is named), the value is not of its type, or the config
+            refuses it.
     """
     owners = {name: place for place, config in reversed(list(enumerate(configs))) for name in _fields(config)}
     changes: list[dict[str, Any]] = [{} for _ in configs]
@@ -62,7 +63,10 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
             raise InvalidSetting(f"no setting named {key!r}; {hint}")
         place = owners[key]
         changes[place][key] = parse_value(key, text, _fields(configs[place])[key])
-    return tuple(dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True))
+    try:
+        return tuple(dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True))
+    except ValueError as error:  # as a config of somebody else's may say it
+        raise InvalidSetting(f"{option} {' '.join(settings)} cannot be: {str(error).rstrip('.')}.") from None
 
 
 def to_json(config: Any) -> dict[str, Any]:
@@ -84,7 +88,7 @@ def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
     """The config that ``to_json`` wrote.
 
     Raises:
-        InvalidSetting: A field is unknown, of another type, or missing without a default.
+        InvalidSetting: A field is unknown, of another type, or missing without a default; or the config refuses it.
     """
     hints = _types(kind)
     names = {field.name for field in dataclasses.fields(typing.cast(Any, kind))}
@@ -98,8 +102,11 @@ def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
             raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {name} is {value!r}.") from None
     try:
         return kind(**values)
-    except TypeError as error:
-        raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {error}.") from None
+    except InvalidSetting:
+        raise
+    except Exception as error:  # of a stranger's model, which may refuse a value by any
+        said = str(error).rstrip(".") or type(error).__name__
+        raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {said}.") from None
 
 
 def decoded(hint: Any, value: Any) -> Any:

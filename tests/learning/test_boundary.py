@@ -107,7 +107,7 @@ def test_batches_may_be_named_as_the_contract_names_them(model: DMotion) -> None
         one.align(shown)
         two.align(demonstrations=shown)
     assert torch.equal(one.table.rows, two.table.rows)
-    with pytest.raises(TypeError, match="missing .*'demonstrations'"):
+    with pytest.raises(TypeError, match=r"missing .*'demonstrations'"):
         model.align()  # type: ignore[call-arg]
 
 

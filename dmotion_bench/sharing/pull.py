@@ -50,14 +50,20 @@ class Pulled:
     dataset: str = ""
 
 
-def shares_of(place: Place, weights: str) -> Iterator[tuple[str, RunShare | str]]:
+def shares_of(place: Place, weights: str, beginning: str = "") -> Iterator[tuple[str, RunShare | str]]:
     """What is published of a run: by the SHA-256 of its manifest what that says, or why it cannot be used.
+
+    Args:
+        place: Where.
+        weights: SHA-256 of its weights.
+        beginning: Of the SHA-256 of the manifests that are looked at; others may be there by the hundred.
 
     Raises:
         PlaceUnreachable: The place does not answer.
     """
     folder = f"{RUNS}/{weights}"
-    found = {name: size for name, size in place.sizes(folder).items() if name.endswith(".json")}
+    there = place.sizes(folder).items()
+    found = {name: size for name, size in there if name.startswith(beginning) and name.endswith(".json")}
     for name in sorted(found)[:MOST_SHARES]:
         digest = name.removesuffix(".json")
         if HASH.fullmatch(digest):
@@ -129,9 +135,8 @@ def _only(place: Place, weights: str, share: str, samples: str) -> RunShare:
     entries one after the other needs the later one for some of them, and a run that is here is never replaced.
     """
     address = f"{place.address}/{RUNS}/{weights}"
-    known = list(shares_of(place, weights))
-    found = [(digest, one) for digest, one in known if digest.startswith(share)]
-    if known and not found:
+    found = list(shares_of(place, weights, share))
+    if not found and (known := list(shares_of(place, weights))):
         listed = ", ".join(f"{weights[:12]}/{digest[:12]}" for digest, _ in known[:8])
         raise ShareMissing(f"{shown(address)} has no manifest that begins with {share[:12]}; it has {listed}.")
     sound = {digest: one for digest, one in found if isinstance(one, RunShare)}

@@ -12,6 +12,7 @@ from sharing.workspaces import contents, entry_of, weights
 import dmotion_bench as dm
 from dmotion_bench.errors import ShareMissing, UsageError
 from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.sharing.pull import MOST_SHARES
 from dmotion_bench.sharing.run_share import share_of
 from dmotion_bench.workspace import Workspace
 
@@ -76,3 +77,15 @@ def test_a_manifest_that_is_not_there_is_said_beside_those_that_are(workspace: W
     (share,) = (one.share for one in dm.share_list(folder.address))
     with pytest.raises(ShareMissing, match=rf"has no manifest that begins with 00000000; it has .*/{share[:12]}\."):
         dm.share_pull(f"{weights(workspace)}/00000000", folder.address)
+
+
+def test_a_manifest_that_is_named_is_found_among_any_number(
+    workspace: Workspace, outsider: Workspace, folder: Published
+) -> None:
+    """Anybody who may write there can put more manifests beside it than are looked at."""
+    dm.share_push("known", folder.address)
+    (share,) = (one.share for one in dm.share_list(folder.address))
+    for number in range(MOST_SHARES):
+        folder.put(f"runs/{weights(workspace)}/{'0' * 60}{number:04d}.json", b"{}")
+    dm.share_pull(f"{weights(workspace)}/{share[:12]}", folder.address, workspace=outsider.root)
+    assert (outsider.runs / "known" / "run.json").is_file()

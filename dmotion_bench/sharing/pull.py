@@ -104,9 +104,10 @@ def pull_run(
         UsageError: There are several, or another run has its name here.
         PlaceUnreachable: The place does not answer.
     """
-    meant = _only(place, weights, share, samples)
-    address, target = f"{place.address}/{RUNS}/{weights}", workspace.runs / meant.name
-    files: Files = {name: (f"{RUNS}/{weights}/{FILES}/{facts.sha256}", facts) for name, facts in meant.files.items()}
+    known = _meant(place, weights, share, samples)
+    here = (one for one in known if _is_here(workspace.runs / one.name, _files_of_run(one)))
+    meant = next(here, known[0])
+    address, target, files = f"{place.address}/{RUNS}/{weights}", workspace.runs / meant.name, _files_of_run(meant)
     pulled = Pulled(
         kind="run",
         name=meant.name,
@@ -128,8 +129,12 @@ def pull_run(
     return _with(pulled, fetched)
 
 
-def _only(place: Place, weights: str, share: str, samples: str) -> RunShare:
-    """The one that is meant of what is published of a run; of several that hold the samples the one with most files.
+def _files_of_run(share: RunShare) -> Files:
+    return {name: (f"{RUNS}/{share.weights}/{FILES}/{facts.sha256}", facts) for name, facts in share.files.items()}
+
+
+def _meant(place: Place, weights: str, share: str, samples: str) -> list[RunShare]:
+    """What is meant of what is published of a run: one, or all that hold the samples, the one with most files first.
 
     A run that was scored on further data and published again has its earlier reports in both manifests. Who checks its
     entries one after the other needs the later one for some of them, and a run that is here is never replaced.
@@ -160,17 +165,26 @@ def _only(place: Place, weights: str, share: str, samples: str) -> RunShare:
             f"{weights[:12]}/{digest[:12]} is {one.name}, {len(one.samples)} reports" for digest, one in fitting.items()
         )
         raise UsageError(f"several reports of these weights are published; name the entry, or one of: {choices}.")
-    return max(fitting.values(), key=lambda one: len(one.files))
+    return sorted(fitting.values(), key=lambda one: -len(one.files))
+
+
+def _other(target: Path, files: Files) -> str:
+    """A file of a run that is not here as it was published; empty if all are."""
+    for name, (_, facts) in files.items():
+        path = target / name
+        if target.is_symlink() or not path.is_file() or file_facts(path) != facts:
+            return name
+    return ""
+
+
+def _is_here(target: Path, files: Files) -> bool:
+    return target.is_dir() and not _other(target, files)
 
 
 def _require_same(target: Path, files: Files) -> None:
     """See that a run that is here already is the one that is meant."""
-    for name, (_, facts) in files.items():
-        path = target / name
-        if target.is_symlink() or not path.is_file() or file_facts(path) != facts:
-            raise UsageError(
-                f"{shown(str(target))} is there already, and its {name} is not what is published; {_ANOTHER}."
-            )
+    if name := _other(target, files):
+        raise UsageError(f"{shown(str(target))} is there already, and its {name} is not what is published; {_ANOTHER}.")
 
 
 def _verify_run(folder: Path, share: RunShare) -> None:

@@ -50,6 +50,19 @@ def test_entries_of_earlier_and_later_reports_are_fetched_one_after_the_other(
     assert contents(outsider.runs / "known" / "report") == contents(workspace.runs / "known" / "report")
 
 
+def test_an_earlier_state_of_a_run_that_is_here_is_enough_for_its_own_entry(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    dm.share_push(["known", "noise"], folder.address)
+    entry = entry_of(workspace, tmp_path / "entry.json")
+    dm.share_pull(entry, folder.address, workspace=outsider.root)
+    _score_elsewhere(workspace, "another", b"samples of another data set")
+    dm.share_push("known", folder.address)
+    before = contents(outsider.root)
+    assert [one.fetched for one in dm.share_pull(entry, folder.address, workspace=outsider.root)] == [0, 0]
+    assert contents(outsider.root) == before
+
+
 def test_what_nobody_could_fetch_is_not_published(workspace: Workspace, folder: Published) -> None:
     for number in range(100):
         _score_elsewhere(workspace, f"data-{number}", b"samples")

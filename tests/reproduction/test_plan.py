@@ -47,6 +47,17 @@ def test_a_part_of_a_table_is_chosen_by_names() -> None:
         dataclasses.replace(TABLE, columns=TABLE.columns * 2)
 
 
+@pytest.mark.parametrize(
+    ("model", "shared"), [("laom", 1.0), ("laom-labels", 0.0), ("wm-ae", 0.5), ("idm-ed-cnn", 0.0), ("ed-cnn", 0.0)]
+)
+def test_what_label_budgets_share_ends_where_the_first_label_is_used(model: str, shared: float, tmp_path: Path) -> None:
+    entrant = Entrant(model=model, labels=("4", "8"))
+    plan = Plan(dataclasses.replace(TABLE, entrants=(entrant,)), "own", Workspace(tmp_path))
+    assert [(one.shared, one.labelled) for one in plan.trainings] == [(shared, 1 - shared)] * (1 if shared else 2)
+    whole = sum(one.left(plan.workspace)[1] for one in plan.trainings)
+    assert whole == shared + 2 * (1 - shared)
+
+
 def test_the_papers_table_has_the_rows_that_were_published() -> None:
     table = registry.table("paper")
     published = {(one.environment, one.model, one.labels) for one in published_results()}

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import stat
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -168,6 +169,8 @@ def damaged(path: Path, what: str) -> RunCorrupt:
 def _require_readable(path: Path) -> None:
     """Open the file once: safetensors says of a file that it may not open that there is none."""
     try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise damaged(path, "is no ordinary file")  # a pipe would be waited for
         with path.open("rb"):
             return
     except FileNotFoundError:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -102,3 +103,13 @@ def test_a_manifest_that_is_named_is_found_among_any_number(
         folder.put(f"runs/{weights(workspace)}/{'0' * 60}{number:04d}.json", b"{}")
     dm.share_pull(f"{weights(workspace)}/{share[:12]}", folder.address, workspace=outsider.root)
     assert (outsider.runs / "known" / "run.json").is_file()
+
+
+def test_what_is_no_file_of_samples_keeps_no_entry_from_being_published(
+    workspace: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    entry = entry_of(workspace, tmp_path / "entry.json")
+    (workspace.runs / "known" / "report" / "on" / "another" / "samples.parquet").mkdir(parents=True)
+    shutil.copytree(workspace.runs / "known", workspace.runs / "a-copy")
+    (workspace.runs / "a-copy" / "report" / "samples.parquet").unlink()
+    assert [one.name for one in dm.share_push(entry, folder.address)] == ["noise", "known"]

@@ -242,9 +242,11 @@ class Table:
         )
         if not columns:
             raise UsageError("no column of this table has figures of these models in these worlds; name others.")
-        if seeds is not None and (isinstance(seeds, str) or not isinstance(seeds, Iterable)):
+        given: Any = seeds
+        if given is not None and (isinstance(given, str) or not isinstance(given, Iterable)):
             raise UsageError(f"seeds is {shown(seeds)}; give a list of whole numbers, such as [0, 1, 2].")
-        if seeds is not None and not len(seeds):
+        named = self.seeds if given is None else tuple(dict.fromkeys(map(_plain, given)))
+        if not named:
             raise UsageError("no seed is named; name at least one, such as 0.")
         return dataclasses.replace(
             self,
@@ -252,7 +254,7 @@ class Table:
             entrants=entrants,
             columns=columns,
             preset=preset or self.preset,
-            seeds=self.seeds if seeds is None else tuple(dict.fromkeys(map(_plain, seeds))),
+            seeds=named,
         )
 
 

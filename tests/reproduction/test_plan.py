@@ -43,6 +43,7 @@ def test_a_part_of_a_table_is_chosen_by_names() -> None:
         with pytest.raises(kind, match=says):
             registry.table("paper").narrowed(**wrong)
     assert registry.table("paper").narrowed(models="dmotion", seeds=np.arange(2)).seeds == (0, 1)
+    assert registry.table("paper").narrowed(seeds=iter([2, 1])).seeds == (2, 1)
     with pytest.raises(InvalidSetting, match="two columns of a table have the same name"):
         dataclasses.replace(TABLE, columns=TABLE.columns * 2)
 

@@ -13,7 +13,7 @@ from typing import Any
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
-from dmotion_bench.api.settings import DEVICES, as_preset, require_one_of
+from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of, whole
 from dmotion_bench.api.side_by_side import THREADS, Hands, score_at_once
 from dmotion_bench.errors import DmbenchError, JobsLost
 from dmotion_bench.execution.executor import Executor
@@ -127,13 +127,14 @@ def reproduce(
         >>> told.cost.jobs("record"), told.cost.jobs("train")
         (1, 3)
     """
+    require_one_of("executor", executor, EXECUTORS)
     plan = plan_table(table, preset=preset, seeds=seeds, models=models, worlds=worlds, workspace=workspace)
     with telling(progress) as tell:
 
         def count(part: str, done: int, total: int) -> None:
             tell(JobProgress(what=part, done=done, total=total))
 
-        hands = Hands(executor=executor, workers=workers, device=device)
+        hands = Hands(executor=executor, workers=whole("workers", workers, 1), device=device)
         cost = what_it_costs(plan, hands, speeds, lambda what: count(f"measuring {what}", 0, 1))
         if dry_run:
             return Reproduced(table=plan.name, cost=cost)

@@ -292,7 +292,8 @@ def _is_run(path: Path, wanted: Wanted) -> bool:
         return False
     if result is None or result["weights"] != wanted.weights:
         return False
-    return any(file_facts(one).sha256 == wanted.samples for one in (path / REPORT_FOLDER).rglob(SAMPLES_FILE))
+    found = (one for one in (path / REPORT_FOLDER).rglob(SAMPLES_FILE) if one.is_file())  # a pipe would be waited for
+    return any(file_facts(one).sha256 == wanted.samples for one in found)
 
 
 def _fingerprint(path: Path) -> str:

@@ -77,8 +77,10 @@ def guarded(method: MethodT, name: str | None = None) -> MethodT:
     if name in BATCHES:
 
         @functools.wraps(method)
-        def with_batch(self: ForwardModel[Any], batch: Any) -> Any:
-            return method(self, batch if self.channels_last else batch.contiguous())
+        def with_batch(self: ForwardModel[Any], *given: Any, **named: Any) -> Any:
+            if named:
+                given = inspect.signature(method).bind(self, *given, **named).args[1:]
+            return method(self, *(one if self.channels_last else one.contiguous() for one in given))
 
         return cast(MethodT, with_batch)
     if name not in IMAGES and name not in ACTION:

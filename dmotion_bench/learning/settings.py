@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NoReturn, TypeVar
 
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.storage.json_file import parse_json
 from dmotion_bench.values import parse_value
 
 ConfigT = TypeVar("ConfigT")
@@ -47,7 +48,8 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
         option: Of the command line that they were given with.
 
     Raises:
-        InvalidSetting: No config has the key (the closest is named), or the value is not of its type.
+        InvalidSetting: No config has the key (the closest is named), the value is not of its type, or the config
+            refuses it.
     """
     owners = {name: place for place, config in reversed(list(enumerate(configs))) for name in _fields(config)}
     changes: list[dict[str, Any]] = [{} for _ in configs]
@@ -61,30 +63,32 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
             raise InvalidSetting(f"no setting named {key!r}; {hint}")
         place = owners[key]
         changes[place][key] = parse_value(key, text, _fields(configs[place])[key])
-    return tuple(dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True))
+    try:
+        return tuple(dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True))
+    except ValueError as error:  # as a config of somebody else's may say it
+        raise InvalidSetting(f"{option} {' '.join(settings)} cannot be: {str(error).rstrip('.')}.") from None
 
 
 def to_json(config: Any) -> dict[str, Any]:
     """A config as JSON's types, to be read again by ``from_json``.
 
     Raises:
-        InvalidSetting: A field has a value that JSON has no type for.
+        InvalidSetting: A field has a value that JSON has no type for, or one that no run and no report is read with.
     """
     try:
-        plain: dict[str, Any] = json.loads(json.dumps(dataclasses.asdict(config)))
+        return parse_json(json.dumps(dataclasses.asdict(config)))
     except (TypeError, ValueError) as error:
         raise InvalidSetting(
-            f"the settings of {type(config).__qualname__} cannot be kept in JSON: {error}. A field can be a number, a "
-            "word, True, False, None, a tuple or a config of these."
+            f"the settings of {type(config).__qualname__} cannot be kept in JSON: {error}. A field can be a finite "
+            "number, a word, True, False, None, a tuple or a config of these."
         ) from None
-    return plain
 
 
 def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
     """The config that ``to_json`` wrote.
 
     Raises:
-        InvalidSetting: A field is unknown, of another type, or missing without a default.
+        InvalidSetting: A field is unknown, of another type, or missing without a default; or the config refuses it.
     """
     hints = _types(kind)
     names = {field.name for field in dataclasses.fields(typing.cast(Any, kind))}
@@ -98,8 +102,11 @@ def from_json(kind: type[ConfigT], stored: Mapping[str, Any]) -> ConfigT:
             raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {name} is {value!r}.") from None
     try:
         return kind(**values)
-    except TypeError as error:
-        raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {error}.") from None
+    except InvalidSetting:
+        raise
+    except Exception as error:  # of a stranger's model, which may refuse a value by any
+        said = str(error).rstrip(".") or type(error).__name__
+        raise InvalidSetting(f"a stored {kind.__name__} cannot be read: {said}.") from None
 
 
 def decoded(hint: Any, value: Any) -> Any:

@@ -26,14 +26,17 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 from torch.nn import functional
 
-from dmotion_bench.errors import DatasetError, DmbenchError, InvalidSetting
+from dmotion_bench.errors import DatasetError, DmbenchError, InvalidSetting, RunCorrupt
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.runs import checkpoint
+from dmotion_bench.learning.settings import from_json
 from dmotion_bench.learning.training.randomness import seeded
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.readable import Frames, ReadableDataset
 from dmotion_bench.values import require_bounds
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import Workspace
 
 FOLDER: Final = "values"
@@ -218,16 +221,22 @@ def load(name: str, workspace: Workspace | None = None) -> TemporalDistance:
             f"there is no learned distance {name[:12]}... in {str(path.parent)!r}; train one with "
             "'python -m dmotion_bench.learning.temporal_distance data/NAME'."
         )
-    weights, facts = checkpoint.load(path)
     try:
-        config = TemporalDistanceConfig(**facts["config"])
+        weights, facts = checkpoint.load(path)
+    except RunCorrupt:
+        raise InvalidSetting(
+            f"{shown(str(path))} is damaged, so it holds no learned distance; delete that file and train the network "
+            "again with 'python -m dmotion_bench.learning.temporal_distance data/NAME'."
+        ) from None
+    try:
+        config = from_json(TemporalDistanceConfig, Fields(facts, "it").pairs("config"))
         with torch.device("meta"):  # no memory is taken for a width that the file only claims
             forms = checkpoint.forms_of(TemporalDistance(config).state_dict())
         if forms != checkpoint.forms_of(weights):
             raise InvalidSetting(f"{str(path)!r} holds no learned distance: its weights are of another width.")
         network = TemporalDistance(config)
         network.load_state_dict(weights)
-    except (KeyError, TypeError, RuntimeError) as error:
+    except (TypeError, ValueError, RuntimeError) as error:
         raise InvalidSetting(f"{str(path)!r} holds no learned distance: {error}.") from None
     if checkpoint.weights_hash(weights) != name:
         raise InvalidSetting(f"{str(path)!r} holds other weights than its name says; train the network again.")

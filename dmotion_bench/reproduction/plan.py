@@ -362,7 +362,7 @@ def _shares(kind: type[Any], arch: str | None, settings: tuple[str, ...], inputs
         return whole, 0.0
     first = 0.0
     for phase in phases:
-        if phase.needs_actions:
+        if phase.needs_actions or phase.with_labels:
             break
         first += phase.fraction
     return first, whole - first

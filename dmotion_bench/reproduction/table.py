@@ -10,7 +10,9 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
+
+import numpy as np
 
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.planning.choices import DEFAULT_SOLVER
@@ -19,10 +21,14 @@ from dmotion_bench.planning.mpc import STEPS
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.settings import METRICS, Metric
 from dmotion_bench.specs import Preset
+from dmotion_bench.wording import shown
 
 Kept = TypeVar("Kept")
 TRIAL_TASKS, TRIAL_STEPS, TRIAL_EPISODES = 2, 4, 12
 """Of control at preset tiny, which is for trying a table out: no figure of it means anything."""
+
+_SEEDS: Final = range(2**53)
+"""Those that every reader of JSON reads exactly."""
 
 ORACLE: Final = "oracle"
 """The reference that is scored before the models, so that it stands beside them."""
@@ -202,6 +208,9 @@ class Table:
                 raise InvalidSetting(f"a table needs {what}, and this one ({self.title}) has none.")
         if not self.seeds:
             raise InvalidSetting(f"a table needs seeds, and this one ({self.title}) has none.")
+        for seed in self.seeds:
+            if type(seed) is not int or seed not in _SEEDS:
+                raise InvalidSetting(f"a seed is {shown(seed)}; it must be a whole number from 0 to {_SEEDS[-1]}.")
         for what, names in (
             ("world", [world.label for world in self.worlds]),
             ("column", [column.name for column in self.columns]),
@@ -221,7 +230,7 @@ class Table:
 
         Raises:
             UnknownName: A model or a world that it does not have.
-            UsageError: Nothing is left of it.
+            UsageError: Nothing is left of it, or a seed cannot be one.
         """
         entrants = _chosen("model of this table", models, self.entrants, [one.model for one in self.entrants])
         kept = _chosen("world of this table", worlds, self.worlds, [one.label for one in self.worlds])
@@ -233,7 +242,11 @@ class Table:
         )
         if not columns:
             raise UsageError("no column of this table has figures of these models in these worlds; name others.")
-        if seeds is not None and not seeds:
+        given: Any = seeds
+        if given is not None and (isinstance(given, str) or not isinstance(given, Iterable)):
+            raise UsageError(f"seeds is {shown(seeds)}; give a list of whole numbers, such as [0, 1, 2].")
+        named = self.seeds if given is None else tuple(dict.fromkeys(map(_plain, given)))
+        if not named:
             raise UsageError("no seed is named; name at least one, such as 0.")
         return dataclasses.replace(
             self,
@@ -241,13 +254,19 @@ class Table:
             entrants=entrants,
             columns=columns,
             preset=preset or self.preset,
-            seeds=self.seeds if seeds is None else tuple(dict.fromkeys(seeds)),
+            seeds=named,
         )
+
+
+def _plain(seed: Any) -> Any:
+    """One of NumPy's whole numbers as Python's own; anything else as it is."""
+    return int(seed) if isinstance(seed, np.integer) else seed
 
 
 def _chosen(kind: str, asked: Sequence[str] | None, given: Sequence[Kept], names: Sequence[str]) -> tuple[Kept, ...]:
     if asked is None:
         return tuple(given)
+    asked = [asked] if isinstance(asked, str) else asked
     for name in asked:
         if name not in names:
             raise UnknownName(kind, name, names)

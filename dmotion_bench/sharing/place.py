@@ -66,7 +66,7 @@ def open_place(given: AnyPath) -> Place:
     if (address := remote_address(given)) is not None:
         return StoragePlace(address)
     text = os.fspath(given)
-    if re.match(r"\w[\w+.-]*:/", text) and not Path(text).is_dir():
+    if re.match(r"\w[\w+.-]+:/", text) and not Path(text).is_dir():
         known = ", ".join(f"{protocol}://" for protocol in PROTOCOLS)
         raise UsageError(
             f"{shown(text)} is no place to share in; name a folder, or an address that begins with {known}."

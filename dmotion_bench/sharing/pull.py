@@ -50,14 +50,20 @@ class Pulled:
     dataset: str = ""
 
 
-def shares_of(place: Place, weights: str) -> Iterator[tuple[str, RunShare | str]]:
+def shares_of(place: Place, weights: str, beginning: str = "") -> Iterator[tuple[str, RunShare | str]]:
     """What is published of a run: by the SHA-256 of its manifest what that says, or why it cannot be used.
+
+    Args:
+        place: Where.
+        weights: SHA-256 of its weights.
+        beginning: Of the SHA-256 of the manifests that are looked at; others may be there by the hundred.
 
     Raises:
         PlaceUnreachable: The place does not answer.
     """
     folder = f"{RUNS}/{weights}"
-    found = {name: size for name, size in place.sizes(folder).items() if name.endswith(".json")}
+    there = place.sizes(folder).items()
+    found = {name: size for name, size in there if name.startswith(beginning) and name.endswith(".json")}
     for name in sorted(found)[:MOST_SHARES]:
         digest = name.removesuffix(".json")
         if HASH.fullmatch(digest):
@@ -98,9 +104,10 @@ def pull_run(
         UsageError: There are several, or another run has its name here.
         PlaceUnreachable: The place does not answer.
     """
-    meant = _only(place, weights, share, samples)
-    address, target = f"{place.address}/{RUNS}/{weights}", workspace.runs / meant.name
-    files: Files = {name: (f"{RUNS}/{weights}/{FILES}/{facts.sha256}", facts) for name, facts in meant.files.items()}
+    known = _meant(place, weights, share, samples)
+    here = (one for one in known if _is_here(workspace.runs / one.name, _files_of_run(one)))
+    meant = next(here, known[0])
+    address, target, files = f"{place.address}/{RUNS}/{weights}", workspace.runs / meant.name, _files_of_run(meant)
     pulled = Pulled(
         kind="run",
         name=meant.name,
@@ -122,10 +129,21 @@ def pull_run(
     return _with(pulled, fetched)
 
 
-def _only(place: Place, weights: str, share: str, samples: str) -> RunShare:
-    """The one that is meant of what is published of a run."""
+def _files_of_run(share: RunShare) -> Files:
+    return {name: (f"{RUNS}/{share.weights}/{FILES}/{facts.sha256}", facts) for name, facts in share.files.items()}
+
+
+def _meant(place: Place, weights: str, share: str, samples: str) -> list[RunShare]:
+    """What is meant of what is published of a run: one, or all that hold the samples, the one with most files first.
+
+    A run that was scored on further data and published again has its earlier reports in both manifests. Who checks its
+    entries one after the other needs the later one for some of them, and a run that is here is never replaced.
+    """
     address = f"{place.address}/{RUNS}/{weights}"
-    found = [(digest, one) for digest, one in shares_of(place, weights) if digest.startswith(share)]
+    found = list(shares_of(place, weights, share))
+    if not found and (known := list(shares_of(place, weights))):
+        listed = ", ".join(f"{weights[:12]}/{digest[:12]}" for digest, _ in known[:8])
+        raise ShareMissing(f"{shown(address)} has no manifest that begins with {share[:12]}; it has {listed}.")
     sound = {digest: one for digest, one in found if isinstance(one, RunShare)}
     fitting = {digest: one for digest, one in sound.items() if not samples or samples in one.samples}
     if not found:
@@ -147,17 +165,26 @@ def _only(place: Place, weights: str, share: str, samples: str) -> RunShare:
             f"{weights[:12]}/{digest[:12]} is {one.name}, {len(one.samples)} reports" for digest, one in fitting.items()
         )
         raise UsageError(f"several reports of these weights are published; name the entry, or one of: {choices}.")
-    return next(iter(fitting.values()))
+    return sorted(fitting.values(), key=lambda one: -len(one.files))
+
+
+def _other(target: Path, files: Files) -> str:
+    """A file of a run that is not here as it was published; empty if all are."""
+    for name, (_, facts) in files.items():
+        path = target / name
+        if target.is_symlink() or not path.is_file() or file_facts(path) != facts:
+            return name
+    return ""
+
+
+def _is_here(target: Path, files: Files) -> bool:
+    return target.is_dir() and not _other(target, files)
 
 
 def _require_same(target: Path, files: Files) -> None:
     """See that a run that is here already is the one that is meant."""
-    for name, (_, facts) in files.items():
-        path = target / name
-        if target.is_symlink() or not path.is_file() or file_facts(path) != facts:
-            raise UsageError(
-                f"{shown(str(target))} is there already, and its {name} is not what is published; {_ANOTHER}."
-            )
+    if name := _other(target, files):
+        raise UsageError(f"{shown(str(target))} is there already, and its {name} is not what is published; {_ANOTHER}.")
 
 
 def _verify_run(folder: Path, share: RunShare) -> None:

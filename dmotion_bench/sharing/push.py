@@ -11,7 +11,7 @@ from typing import Final, Literal
 from dmotion_bench.errors import DatasetCorrupt, DatasetError, RunError, ShareCorrupt, UsageError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.place import DATASETS, RUNS, Place, plain_name
-from dmotion_bench.sharing.run_share import share_of
+from dmotion_bench.sharing.run_share import RunShare, share_of
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.limits import LARGEST_MANIFEST
@@ -62,12 +62,20 @@ def push_run(place: Place, run: Run, *, mend: bool, tell: Tell) -> Pushed:
 
     Raises:
         RunMissing, RunCorrupt: It is not finished, or damaged.
+        UsageError: It has what nobody could fetch, such as more reports than a manifest may list.
         RunError: A file changed meanwhile.
         PlaceUnreachable: The place does not take it.
     """
     share = share_of(run)
     _require_plain("run", share.name)
     _require_plain("data set", share.dataset)
+    try:
+        RunShare.parse(share.content())
+    except ValueError as error:
+        raise UsageError(
+            f"the run {shown(share.name)} cannot be published, for nobody could fetch it: its manifest would be "
+            f"refused ({error})."
+        ) from None
     folder = f"{RUNS}/{share.weights}"
     files = {f"{folder}/{FILES}/{facts.sha256}": (run.path / name, facts) for name, facts in share.files.items()}
     sent = _send(place, files, place.sizes(f"{folder}/{FILES}"), share.name, mend=mend, tell=tell)

@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from dmotion_bench.errors import RunMissing
+from dmotion_bench.learning.runs.manifest import LARGEST_RUN
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, SAMPLES_FILE, TRANSFERS, settled
@@ -39,7 +40,7 @@ WEIGHTS: Final = "best.safetensors"
 METRICS: Final = "metrics.jsonl"
 _GIB: Final = 2**30
 _LARGEST: Final[Mapping[str, int]] = {
-    RUN_MANIFEST: 2**20,
+    RUN_MANIFEST: LARGEST_RUN,
     WEIGHTS: 64 * _GIB,
     METRICS: _GIB,
     REPORT_FILE: LARGEST,

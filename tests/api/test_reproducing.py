@@ -20,6 +20,7 @@ from small_tables import CONTROL, TABLE, Known
 import dmotion_bench as dm
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
+from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training import table as learning_table
@@ -294,3 +295,17 @@ def test_trainings_that_fail_in_two_worlds_are_two_failures() -> None:
         work._note_outcome(learning_table.Outcome(row=row, run=None, error=why))
 
     assert list(work.failures.values()) == ["no space", "no memory"]
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"workers": 0}, "workers is 0; it must be a whole number of 1 or more"),
+        ({"workers": "2"}, "workers is '2'; it must be a whole number"),
+        ({"executor": "slrum"}, "no executor named 'slrum'; did you mean 'slurm'"),
+        ({"seeds": [-1]}, "a seed is -1"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_recorded(given: dict[str, Any], said: str, tmp_path: Path) -> None:
+    with pytest.raises(UsageError, match=said):
+        dm.reproduce(TABLE, workspace=tmp_path, dry_run=True, **given)

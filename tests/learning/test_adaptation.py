@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import RunError
 from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import HELD_BACK, LabelBudget
@@ -99,6 +100,19 @@ def test_stored_demonstrations_are_read_batch_by_batch_and_teach_the_same(datase
     assert all(torch.equal(found[0][name], found[1][name]) for name in found[0])
     held, learned = len(given.rows) // HELD_BACK, len(given.rows) - len(given.rows) // HELD_BACK
     assert Watched.most == max(config.batch_size, min(held, AT_ONCE)) < learned
+
+
+@pytest.mark.parametrize("count", [2, 16])
+def test_what_diverges_is_said_or_not_kept(count) -> None:
+    """Without transitions that are left out the last step is kept, whatever became of the weights."""
+    model, shown = _model(), _shown(count, (0.2, -0.3))
+    config = replace(CONFIG, adaptation_steps=10, adaptation_rate=1e30)
+    if count == 2:
+        with pytest.raises(RunError, match=r"diverged within its 10 steps: .* is (nan|inf)\. Try a lower rate"):
+            finetune(model, shown, config, seed=0, precision="float32")
+    else:
+        assert finetune(model, shown, config, seed=0, precision="float32") == 0
+        assert torch.equal(model.gain, torch.ones(()))
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from typing import Any
 
@@ -12,6 +13,7 @@ import torch
 from baselines.dmotion import DMotion, DMotionConfig
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import UsageError
+from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel, ModelInputs
 
@@ -96,6 +98,17 @@ def test_images_come_in_the_memory_format_that_the_training_asks_for(model: DMot
         weight = next(one for one in watching.parameters() if one.ndim == 4 and min(one.shape) > 1)
         assert weight.is_contiguous(memory_format=torch.channels_last) is channels_last
     assert seen == [True, False]
+
+
+def test_batches_may_be_named_as_the_contract_names_them(model: DMotion) -> None:
+    shown = Demonstrations(previous=IMAGES, current=IMAGES, next=IMAGES, action=torch.tensor([0, 1, 2]))
+    with torch.no_grad():
+        one, two = copy.deepcopy(model), copy.deepcopy(model)
+        one.align(shown)
+        two.align(demonstrations=shown)
+    assert torch.equal(one.table.rows, two.table.rows)
+    with pytest.raises(TypeError, match=r"missing .*'demonstrations'"):
+        model.align()  # type: ignore[call-arg]
 
 
 def test_what_the_base_class_offers_is_guarded_too() -> None:

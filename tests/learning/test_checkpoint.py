@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import pickle
 
 import pytest
@@ -10,6 +11,7 @@ import torch
 from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.training.optimizer import AveragedWeights
+from dmotion_bench.learning.training.samples import samples_of
 
 
 def test_tensors_and_facts_survive(tmp_path) -> None:
@@ -47,6 +49,18 @@ def test_an_optimiser_goes_on_as_if_nothing_had_happened(tmp_path) -> None:
     checkpoint.restore_optimizer(second_optimizer, loaded)
     steps(second, second_optimizer, 3, 6)
     assert all((a == b).all() for a, b in zip(whole.parameters(), second.parameters(), strict=True))
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_pipe_is_not_waited_for(tmp_path) -> None:
+    """The folder of a run may come from anybody."""
+    os.mkfifo(path := tmp_path / "x.safetensors")
+    for read in (checkpoint.load, checkpoint.count_tensors):
+        with pytest.raises(RunCorrupt, match="is no ordinary file"):
+            read(path)
+    os.mkfifo(tmp_path / "00000001.png")
+    (tmp_path / "samples").symlink_to(tmp_path)
+    assert samples_of(tmp_path) == {}
 
 
 def test_damage_is_said_in_a_sentence(tmp_path) -> None:

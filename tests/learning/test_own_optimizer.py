@@ -37,6 +37,41 @@ class WithMomentum(Sound):
         return torch.optim.SGD([{"params": [self.layer.weight]}, biases], lr=config.learning_rate, momentum=0.9)
 
 
+class Counting(torch.optim.Optimizer):
+    """Keeps numbers of each parameter, and tensors of other types and shapes than its own."""
+
+    def __init__(self, parameters: Any, lr: float) -> None:
+        super().__init__(parameters, {"lr": lr})
+
+    @torch.no_grad()
+    def step(self, closure: Any = None) -> None:  # type: ignore[override]
+        """Descend, by rates that all of the state decides."""
+        for group in self.param_groups:
+            for parameter in group["params"]:
+                state, gradient = self.state[parameter], parameter.grad
+                state["count"] = state.get("count", 0) + 1
+                state["decayed"] = 0.9 * state.get("decayed", 1.0)
+                state["steps"] = state.get("steps", torch.zeros((), dtype=torch.int64)) + 1
+                state["sum"] = state.get("sum", 0.0) + gradient.double().square()
+                state["rows"] = state["sum"].flatten(1).mean(1, keepdim=True) if gradient.ndim > 1 else state["sum"]
+                scale = (1 - 0.9 ** state["count"]) * (1 + state["decayed"]) * float(state["steps"]) ** 0.5
+                parameter -= group["lr"] * gradient / scale / (1 + float(state["rows"].sum()))
+
+
+class WithCounts(Sound):
+    """Trained by what keeps counts."""
+
+    def make_optimizer(self, config: TrainingConfig) -> torch.optim.Optimizer:
+        return Counting(self.parameters(), config.learning_rate)
+
+
+class WithFactors(Sound):
+    """Trained by torch's own optimiser that keeps a mean of each row and each column."""
+
+    def make_optimizer(self, config: TrainingConfig) -> torch.optim.Optimizer:
+        return torch.optim.Adafactor(self.parameters(), lr=config.learning_rate)
+
+
 class Stopped(Exception):
     """Raised by a progress callback."""
 
@@ -48,10 +83,10 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def train_it(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Run]:
-    for module in ("manifest", "start"):
-        monkeypatch.setattr(f"dmotion_bench.learning.runs.{module}.model_class", lambda name: WithMomentum)
+    def to_its_end(folder: Path, stop_at: int | None = None, kind: type[Sound] = WithMomentum) -> Run:
+        for module in ("manifest", "start"):
+            monkeypatch.setattr(f"dmotion_bench.learning.runs.{module}.model_class", lambda name: kind)
 
-    def to_its_end(folder: Path, stop_at: int | None = None) -> Run:
         def on_step(report: Report) -> None:
             if report.step == stop_at:
                 raise Stopped
@@ -96,6 +131,21 @@ def test_a_killed_run_ends_with_the_same_bits(
         assert sorted(state) == ["optimizer/0/momentum_buffer", "optimizer/1/momentum_buffer"]
         assert all(tensor.abs().sum() > 0 for tensor in state.values())
     killed = train_it(tmp_path / "killed")
+    assert whole.result is not None
+    assert killed.result is not None
+    assert killed.result["weights"] == whole.result["weights"]
+
+
+@pytest.mark.parametrize("kind", [WithCounts, WithFactors])
+def test_numbers_and_tensors_of_any_form_go_on_as_they_were(
+    train_it: Callable[..., Run], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, kind: type[Sound]
+) -> None:
+    monkeypatch.setattr("dmotion_bench.learning.training.loop.CHECKPOINT_SECONDS", 0.0)
+    whole = train_it(tmp_path / "whole", kind=kind)
+    for stop_at in (2, 4, 6):  # what is restored is written again
+        with pytest.raises(Stopped):
+            train_it(tmp_path / "killed", stop_at, kind)
+    killed = train_it(tmp_path / "killed", kind=kind)
     assert whole.result is not None
     assert killed.result is not None
     assert killed.result["weights"] == whole.result["weights"]

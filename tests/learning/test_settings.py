@@ -59,9 +59,41 @@ def test_what_json_has_no_type_for_is_refused() -> None:
         to_json(config)
 
 
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), 10**30, (1.0, float("-inf"))])
+def test_what_no_run_could_be_read_with_is_refused_before_it_begins(value: Any) -> None:
+    config = dataclasses.make_dataclass("Own", [("limit", Any, dataclasses.field(default=value))], frozen=True)()
+    with pytest.raises(InvalidSetting, match=r"cannot be kept in JSON: it holds the (whole )?number .*finite number"):
+        to_json(config)
+
+
 def test_a_field_of_another_version_is_refused() -> None:
     with pytest.raises(InvalidSetting, match="another version"):
         from_json(DMotionConfig, {**to_json(DMotionConfig()), "rotations": 4})
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Strict:
+    """Refuses values as plain Python does."""
+
+    maps: int = 1
+    depth: int = 1
+
+    def __post_init__(self) -> None:
+        assert self.depth > 0, "no depth"
+        if self.maps < 1:
+            raise ValueError("there must be a map.")
+
+
+@pytest.mark.parametrize(("stored", "said"), [({"maps": 0}, "there must be a map"), ({"depth": 0}, "no depth")])
+def test_a_stored_value_that_a_config_refuses_is_a_sentence(stored: dict[str, int], said: str) -> None:
+    """A run beside the one that is trained may be of an earlier state of its model, which allowed more."""
+    with pytest.raises(InvalidSetting, match=rf"^a stored Strict cannot be read: {said}"):
+        from_json(Strict, stored)
+
+
+def test_a_setting_that_a_config_refuses_is_a_sentence() -> None:
+    with pytest.raises(InvalidSetting, match=r"^--set maps=0 cannot be: there must be a map\.$"):
+        with_settings(["maps=0"], Strict())
 
 
 class Kind(enum.StrEnum):

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import pytest
+import torch
 from mortal_workers import Deadly, called_apart, engine
 from walking_square import record_walks
 
@@ -60,6 +61,18 @@ def in_turn(data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, s
     for job in jobs_in(data, workspace):
         assert [one.error for one in train_rows(job)] == [None] * len(job.rows)
     return weights_in(workspace)
+
+
+def test_the_threads_of_whoever_calls_are_as_many_as_before(tmp_path: Path) -> None:
+    """A single worker is the present process; what it trains next may record its number of threads."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        (found, *_) = train_rows(jobs_in(tmp_path / "away", tmp_path)[0])
+        assert found.error is not None
+        assert torch.get_num_threads() == 2
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.mark.slow

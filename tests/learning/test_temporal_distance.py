@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,6 +127,25 @@ def test_what_is_no_learned_distance_is_refused(trained: TemporalDistance, tmp_p
             InvalidSetting, match=r"holds no learned distance: (its weights are of another|.*[Oo]verflow)"
         ):
             load("2" * 64, workspace)
+
+
+def test_a_damaged_file_is_said_with_what_makes_it_again(tmp_path: Path) -> None:
+    """The way out of a damaged checkpoint of a training would delete every other network beside it."""
+    workspace = Workspace(tmp_path)
+    path = place_of(save(TemporalDistance(CONFIG), workspace), workspace)
+    content = bytearray(path.read_bytes())
+    content[-3] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(InvalidSetting, match=r"is damaged, .*delete that file and train the network again with"):
+        load(path.stem, workspace)
+
+
+@pytest.mark.parametrize("config", [[], "x", {"width": 1.5}, {"width": True}, {"width": "a"}, {"deep": 1}])
+def test_settings_that_cannot_be_are_refused(tmp_path: Path, config: Any) -> None:
+    workspace = Workspace(tmp_path)
+    checkpoint.save(place_of("3" * 64, workspace), TemporalDistance(CONFIG).state_dict(), {"config": config})
+    with pytest.raises(InvalidSetting, match=r"holds no learned distance|cannot be read|has no field deep"):
+        load("3" * 64, workspace)
 
 
 @pytest.mark.parametrize(

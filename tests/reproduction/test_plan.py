@@ -6,6 +6,7 @@ import dataclasses
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_tables import CONTROL, TABLE
 
@@ -33,11 +34,29 @@ def test_a_part_of_a_table_is_chosen_by_names() -> None:
         ({"models": ["dmotoin"]}, UnknownName, "did you mean 'dmotion'"),
         ({"worlds": ["push_t"]}, UnknownName, "no world of this table named 'push_t'"),
         ({"seeds": []}, UsageError, "no seed is named"),
+        ({"seeds": 0}, UsageError, "seeds is 0; give a list of whole numbers"),
+        ({"seeds": "01"}, UsageError, "seeds is '01'; give a list of whole numbers"),
+        ({"seeds": [0, -1]}, InvalidSetting, "a seed is -1; it must be a whole number from 0"),
+        ({"seeds": ["1"]}, InvalidSetting, "a seed is '1'"),
+        ({"seeds": [True]}, InvalidSetting, "a seed is True"),
     ):
         with pytest.raises(kind, match=says):
             registry.table("paper").narrowed(**wrong)
+    assert registry.table("paper").narrowed(models="dmotion", seeds=np.arange(2)).seeds == (0, 1)
+    assert registry.table("paper").narrowed(seeds=iter([2, 1])).seeds == (2, 1)
     with pytest.raises(InvalidSetting, match="two columns of a table have the same name"):
         dataclasses.replace(TABLE, columns=TABLE.columns * 2)
+
+
+@pytest.mark.parametrize(
+    ("model", "shared"), [("laom", 1.0), ("laom-labels", 0.0), ("wm-ae", 0.5), ("idm-ed-cnn", 0.0), ("ed-cnn", 0.0)]
+)
+def test_what_label_budgets_share_ends_where_the_first_label_is_used(model: str, shared: float, tmp_path: Path) -> None:
+    entrant = Entrant(model=model, labels=("4", "8"))
+    plan = Plan(dataclasses.replace(TABLE, entrants=(entrant,)), "own", Workspace(tmp_path))
+    assert [(one.shared, one.labelled) for one in plan.trainings] == [(shared, 1 - shared)] * (1 if shared else 2)
+    whole = sum(one.left(plan.workspace)[1] for one in plan.trainings)
+    assert whole == shared + 2 * (1 - shared)
 
 
 def test_the_papers_table_has_the_rows_that_were_published() -> None:

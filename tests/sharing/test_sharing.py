@@ -264,6 +264,7 @@ def test_wrong_words_for_places_and_hashes(workspace: Workspace, folder: Publish
     (tmp_path / "file").write_text("")
     with pytest.raises(UsageError, match="is a file and no place"):
         dm.share_list(tmp_path / "file")
+    assert dm.share_list("C:/published") == []  # a folder of Windows, which is not there yet
     with pytest.raises(UsageError, match="no place to share in is named"):
         dm.share_push("known", "")
     with pytest.raises(UsageError, match="neither an entry's file nor a hash"):

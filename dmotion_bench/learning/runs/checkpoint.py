@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+import stat
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -168,6 +169,8 @@ def damaged(path: Path, what: str) -> RunCorrupt:
 def _require_readable(path: Path) -> None:
     """Open the file once: safetensors says of a file that it may not open that there is none."""
     try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise damaged(path, "is no ordinary file")  # a pipe would be waited for
         with path.open("rb"):
             return
     except FileNotFoundError:
@@ -224,23 +227,42 @@ def optimizer_tensors(optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
     """An optimiser's state as tensors with flat names (numbers among it become tensors)."""
     state = optimizer.state_dict()["state"]
     return {
-        f"optimizer/{parameter}/{key}": torch.as_tensor(value)
+        f"optimizer/{parameter}/{key}": state_tensor(value)
         for parameter, values in state.items()
         for key, value in values.items()
     }
 
 
-def restore_optimizer(optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor]) -> None:
-    """Put back what ``optimizer_tensors`` took."""
+def state_tensor(value: Any) -> Tensor:
+    """A tensor or a number of an optimiser's state as a tensor that holds exactly this."""
+    return torch.as_tensor(value, dtype=torch.float64 if isinstance(value, float) else None)
+
+
+def restore_optimizer(
+    optimizer: torch.optim.Optimizer, tensors: Mapping[str, Tensor], numbers: Collection[str] = ()
+) -> None:
+    """Put back what ``optimizer_tensors`` took.
+
+    Args:
+        optimizer: Of the same parameters.
+        tensors: What was taken.
+        numbers: The names of those that were numbers, and are to be numbers again.
+    """
     state: dict[int, dict[str, Tensor]] = {}
     for name, tensor in without_prefix("optimizer", tensors).items():
         parameter, _, key = name.partition("/")
         state.setdefault(int(parameter), {})[key] = tensor
     optimizer.load_state_dict({"state": state, "param_groups": optimizer.state_dict()["param_groups"]})
-    for weights, kept in optimizer.state.items():  # in the weights' memory order, which fused steps rely on
+    places = {id(one): place for place, one in enumerate(one for g in optimizer.param_groups for one in g["params"])}
+    for weights, kept in optimizer.state.items():
+        taken = state.get(places[id(weights)], {})
         for key, value in kept.items():
-            if torch.is_tensor(value) and value.shape == weights.shape:
-                kept[key] = torch.empty_like(weights, dtype=value.dtype).copy_(value)
+            if f"optimizer/{places[id(weights)]}/{key}" in numbers:
+                kept[key] = taken[key].item()
+            elif torch.is_tensor(value):  # torch gives it the weights' type, and not their memory order
+                exact = taken[key].to(value.device) if value.dtype != taken[key].dtype else value
+                alike = exact.shape == weights.shape  # fused steps rely on the order
+                kept[key] = torch.empty_like(weights, dtype=exact.dtype).copy_(exact) if alike else exact
 
 
 def weights_hash(tensors: Mapping[str, Tensor]) -> str:

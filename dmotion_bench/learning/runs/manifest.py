@@ -39,7 +39,8 @@ PARTS: Final = "parts"
 ACTION_NAMES: Final = "action_names"
 """Of ``run.json``: the names of discrete actions. They stand beside the spec, since no training depends on them."""
 
-_LARGEST: Final = 2**23  # bytes of a run.json that are read; the longest names of the most actions take half of them
+LARGEST_RUN: Final = 2**23
+"""Bytes of a run.json that are read; the longest names of the most actions take half of them."""
 _COUNTS: Final = range(2**53)
 _SHA256: Final = re.compile(r"[0-9a-f]{64}")
 
@@ -278,7 +279,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
         OSError: It cannot be opened.
         ValueError, InvalidSetting: It is no such file; says why.
     """
-    manifest = read_json(path, largest=_LARGEST)
+    manifest = read_json(path, largest=LARGEST_RUN)
     found = manifest.get("format")
     if found != RUN_FORMAT:
         raise ValueError(f"it is of the format {shown(found)}; this dmbench reads {RUN_FORMAT!r}")

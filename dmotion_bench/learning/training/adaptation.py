@@ -12,6 +12,7 @@ for the whole number of steps.
 
 from __future__ import annotations
 
+import math
 from typing import Any, Final
 
 import torch
@@ -19,6 +20,7 @@ import torch.nn.functional as F
 from jaxtyping import Int
 from torch import Tensor
 
+from dmotion_bench.errors import RunError
 from dmotion_bench.learning.action_to_latent import ActionToLatent
 from dmotion_bench.learning.data.labels import HELD_BACK
 from dmotion_bench.learning.data.triplets import BatchOrder
@@ -45,6 +47,9 @@ def finetune(
 
     Returns:
         The number of steps that were kept.
+
+    Raises:
+        RunError: It diverged, and no transitions were left out that could have said when to stop.
     """
     order = torch.randperm(len(shown), generator=torch.Generator().manual_seed(seed))
     held, learned = order.tensor_split([len(shown) // HELD_BACK])
@@ -67,6 +72,11 @@ def finetune(
             if (now := _error(model, shown, held)) < best:
                 best, kept, state = now, step, _copied(model)
         elif is_last:
+            if not math.isfinite(now := _error(model, shown, learned)):
+                raise RunError(
+                    f"the fine-tuning diverged within its {step} steps: the error on its demonstrations is {now}. Try "
+                    "a lower rate, such as --set adaptation_rate=0.00001, in a new run (--out DIR)."
+                )
             kept, state = step, _copied(model)
     for table in tables:
         table.requires_grad_(False)

@@ -117,13 +117,14 @@ def _facts(kind: type[FactsT], facts: Mapping[str, Any], path: Path, steps: int)
 
 def optimizer_forms(
     optimizer: torch.optim.Optimizer, model: ForwardModel[Any], config: TrainingConfig
-) -> dict[str, Form]:
-    """The tensors of an optimiser's state once it has taken a step.
+) -> tuple[dict[str, Form], set[str]]:
+    """The tensors of an optimiser's state once it has taken a step, and the names of those that stand for numbers.
 
     A second optimiser of the same kind takes that step: over parameters of one number each or, if it is the model's
     own, whose groups may depend on the model, over those of a copy.
     """
-    if has_own_optimizer(model):
+    own = has_own_optimizer(model)
+    if own:
         copied = copy.deepcopy(model)
         for parameter in copied.parameters():
             parameter.grad = torch.zeros_like(parameter)
@@ -132,12 +133,16 @@ def optimizer_forms(
         twin = named_optimizer(nn.ParameterList(_small(parameter) for parameter in model.parameters()), config)
     twin.step()
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
-    forms = {}
+    forms, numbers = dict[str, Form](), set[str]()
     for index, state in twin.state_dict()["state"].items():
         for key, value in state.items():
-            kept, shape = torch.as_tensor(value), tuple(parameters[index].shape)
-            forms[f"optimizer/{index}/{key}"] = Form(Form.of(kept).dtype, shape if kept.ndim == len(shape) else ())
-    return forms
+            name, kept, weights = f"optimizer/{index}/{key}", checkpoint.state_tensor(value), parameters[index]
+            # of small stand-ins only the number of axes says whether it is one number or one for each weight
+            like = kept if own or kept.ndim != weights.ndim else weights
+            forms[name] = Form(Form.of(kept).dtype, tuple(like.shape))
+            if not torch.is_tensor(value):
+                numbers.add(name)
+    return forms, numbers
 
 
 def _small(parameter: nn.Parameter) -> nn.Parameter:
@@ -219,7 +224,7 @@ class Checkpoints:
         path = self.run.last
         if not path.exists():
             return None
-        state = optimizer_forms(self.optimizer, self.model, self.config)
+        state, numbers = optimizer_forms(self.optimizer, self.model, self.config)
         required = self._forms("model") | (self._forms("average") if self.average else {})
         hardness = {f"hardness/{name}": Form("F32", values.shape) for name, values in self.hardness.items()}
         tensors, read = checkpoint.load(path, required=required, optional=state | hardness)
@@ -229,7 +234,7 @@ class Checkpoints:
         if is_known and self._load_best()[1].step < facts.best_step:
             raise damaged(self.run.best, f"is older than step {facts.best_step}, the best that {path.name!r} knows of")
         self.model.load_state_dict(checkpoint.without_prefix("model", tensors))
-        checkpoint.restore_optimizer(self.optimizer, tensors)
+        checkpoint.restore_optimizer(self.optimizer, tensors, numbers)
         if self.average is not None:
             self.average.restore(checkpoint.without_prefix("average", tensors))
         for name, values in checkpoint.without_prefix("hardness", tensors).items():

@@ -58,7 +58,8 @@ def write_sample(run: Path, step: int, picture: UInt8[np.ndarray, "h w 3"]) -> P
 
 def samples_of(run: Path) -> Mapping[int, Path]:
     """The pictures of a run by their steps, in order."""
-    found = {int(path.stem): path for path in (run / SAMPLES).glob("*.png") if path.stem.isdecimal()}
+    files = (path for path in (run / SAMPLES).glob("*.png") if path.is_file())  # a pipe would be waited for
+    found = {int(path.stem): path for path in files if path.stem.isdecimal()}
     return dict(sorted(found.items()))
 
 

@@ -207,8 +207,16 @@ class RowResult:
 
 
 def train_rows(job: TableJob) -> list[RowResult]:
-    """Train the rows of one model in the present process."""
+    """Train the rows of one model in the present process, which computes with as many threads as before afterwards."""
+    before = torch.get_num_threads()
     torch.set_num_threads(job.threads)
+    try:
+        return _rows_trained(job)
+    finally:
+        torch.set_num_threads(before)
+
+
+def _rows_trained(job: TableJob) -> list[RowResult]:
     told = ProgressFile(job.progress)
     try:
         dataset = _dataset_here(job)

@@ -1,4 +1,4 @@
-"""Which modules the name of a Gymnasium environment may have imported: those of packages installed with a link, too."""
+"""Which modules the name of a Gymnasium environment may have imported, and what is said where that goes wrong."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import pytest
 
 from dmotion_bench.errors import UsageError
 from recorders.gymnasium_env import modules
+from recorders.gymnasium_env.guest import unmade
 
 
 def install(site: Path, package: str, needs: str, link: str) -> None:
@@ -48,3 +49,19 @@ def test_one_of_a_package_that_does_not_depend_on_gymnasium_is_not(linked: Path)
     for nowhere in ("windy_world", ""):
         with pytest.raises(UsageError, match="is in no installed package"):
             modules.import_named(nowhere, "gym:A-v0")
+
+
+@pytest.mark.parametrize(
+    ("said", "screenless"),
+    [
+        ("the mass is negligible", False),
+        ("a wind was neglected", False),
+        ("Cannot initialize a EGL device display", True),
+        ("'NoneType' object has no attribute 'eglQueryString'", True),
+        ("invalid value for environment variable MUJOCO_GL: egl", True),
+        ("an OpenGL platform library has not been loaded", True),
+        ("X11: The DISPLAY environment variable is missing", True),
+    ],
+)
+def test_only_what_speaks_of_a_screen_is_taken_for_a_screen_that_lacks(said: str, screenless: bool) -> None:
+    assert ("without a screen" in str(unmade("gym:A-v0", RuntimeError(said)))) == screenless

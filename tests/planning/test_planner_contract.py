@@ -167,6 +167,13 @@ def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypa
         solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
 
 
+def test_features_of_a_model_that_diverged_are_the_models_fault(problems: list[Problem]) -> None:
+    diverged = breaks(Sound, features=lambda _, state: state[0].mean((2, 3)) * float("nan"))
+    model = diverged(SoundConfig(), ModelInputs(height=FACTS.height, width=FACTS.width, actions=FACTS.actions))
+    with pytest.raises(ModelContractBroken, match="the model's features of the goal image hold NaN or infinity"):
+        solve(ModelAgent(model, FACTS, SMALL, Feature()), problems[:1], steps=1)
+
+
 class Odd(Memoryless):
     """An objective and its evaluator, one of whose methods returns something else."""
 

@@ -29,3 +29,17 @@ def clumsy(env: Any, generator: Any) -> int:
 def impossible(env: Any, generator: Any) -> int:
     """Chooses what there is not."""
     return 7
+
+
+class Needy:
+    """Wants to be told something when it is made."""
+
+    def __init__(self, speed: float) -> None:
+        self.speed = speed
+
+
+class Failing:
+    """Cannot be made."""
+
+    def __init__(self) -> None:
+        raise ValueError("no weights")

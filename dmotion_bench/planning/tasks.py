@@ -14,8 +14,9 @@ image, divided by the same at the start. A figure of that kind has a name of its
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
 
@@ -25,6 +26,7 @@ from jaxtyping import Float, Int, UInt8
 from dmotion_bench.actions import ActionTaken, as_actions, given
 from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, SetsGoal, TaskMeasure
 from dmotion_bench.errors import DatasetError, DmbenchError, UnknownName
+from dmotion_bench.recording.failures import guarded
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, ObjectStates, delay_of
@@ -310,12 +312,23 @@ class World:
 
 def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = ()) -> UInt8[np.ndarray, "h w 3"]:
     """Bring an environment to a problem's start and take some more actions; returns the image there."""
-    frame = env.reset(seed=problem.seed, options=_options(problem))[0]
+    with _guarded(env, "'reset'", lambda: f"at the start of task {problem.number}"):
+        frame: UInt8[np.ndarray, "h w 3"] = env.reset(seed=problem.seed, options=_options(problem))[0]
     for action in (*as_actions(problem.opening), *actions):
         frame = take(env, action)
     return frame
 
 
 def take(env: Environment, action: ActionTaken) -> UInt8[np.ndarray, "h w 3"]:
-    """Take an action; returns the image after it."""
-    return env.step(given(action))[0]
+    """Take an action; returns the image after it.
+
+    Raises:
+        RecordingFailed: The environment raises something; a task may go on beyond the end of its episode.
+    """
+    with _guarded(env, "'step'", lambda: f"in a control task, at the action {action}"):
+        return env.step(given(action))[0]
+
+
+def _guarded(env: Environment, method: str, when: Callable[[], str]) -> contextlib.AbstractContextManager[None]:
+    """Turn what somebody else's environment raises into a sentence."""
+    return guarded(f"the environment {env.facts.id!r}", method, when)

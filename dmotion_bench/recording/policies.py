@@ -39,7 +39,7 @@ def find_policy(kind: type[Environment], recipe: DatasetRecipe) -> Callable[[], 
         make = _own_policy(recipe.policy)
     else:
         raise UnknownName(f"policy of {recipe.environment}", recipe.policy, kind.policies)
-    return lambda: _checked(recipe.policy, make())
+    return lambda: _checked(recipe.policy, _begun(recipe.policy, make))
 
 
 def _own_policy(name: str) -> Callable[[], Any]:
@@ -47,7 +47,7 @@ def _own_policy(name: str) -> Callable[[], Any]:
     module, _, attribute = name.partition(OWN)
     try:
         found: Any = importlib.import_module(module)
-    except Exception as error:  # somebody else's module may raise anything
+    except (Exception, SystemExit) as error:  # somebody else's module may raise anything
         raise InvalidSetting(
             f"the policy {shown(name)} cannot be imported ({said(error)}); write it as MODULE:FUNCTION, with a "
             "module that is installed or in a folder that PYTHONPATH names: 'PYTHONPATH=. dmbench record ...'."
@@ -60,6 +60,22 @@ def _own_policy(name: str) -> Callable[[], Any]:
         )
     make: Callable[[], Any] = policy if inspect.isclass(policy) else lambda: policy
     return make
+
+
+def _begun(name: str, make: Callable[[], Any]) -> Any:
+    """The policy of an episode.
+
+    Raises:
+        RecordingFailed: It is a class that cannot be made.
+    """
+    try:
+        return make()
+    except (DmbenchError, MemoryError):
+        raise
+    except (Exception, SystemExit) as error:  # somebody else's constructor may raise anything
+        raise RecordingFailed(
+            f"the policy {shown(name)} raised {said(error)}; a class is made anew for each episode, without arguments."
+        ) from error
 
 
 def _checked(name: str, policy: Any) -> Policy:

@@ -7,17 +7,20 @@ not recorded before.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Final
 
 import numpy as np
+from jaxtyping import Bool
 
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.registry import environment_class
-from dmotion_bench.specs import DatasetRecipe, EnvSpec
+from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectStates
 from dmotion_bench.storage.manifest import Replay
+from dmotion_bench.storage.mcap_reader import read_messages
+from dmotion_bench.storage.messages import chunk_limit, decode_masks
 from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, read_video, shard_path
 from dmotion_bench.storage.writer import DatasetWriter
 
@@ -51,14 +54,35 @@ def replay_episode(job: ReplayJob) -> tuple[int, str]:
     """The number of an episode, and how it differs when it is recorded again; empty if it does not."""
     row, recipe = job.row, job.recipe
     frames = read_video(shard_path(job.dataset, VIDEO, row.shard), row.video, job.spec, row.frames)
-    actions = read_states(shard_path(job.dataset, LABELS, row.shard), row.states, job.spec, row.frames).actions
+    labels = shard_path(job.dataset, LABELS, row.shard)
+    states, masks = read_states(labels, row.states, job.spec, row.frames), np.empty(frames.shape[:3], np.uint8)
+    decode_masks(read_messages(labels, row.masks, chunk_limit=chunk_limit(job.spec)), masks)
     (again,) = record_episodes(environment_class(recipe.environment), recipe, [row.episode])
-    together = min(len(frames), len(again.frames))
-    same_frames = (frames[:together] == again.frames[:together]).reshape(together, -1).all(axis=1)
+    whose, together = f"episode {row.episode}", min(len(frames), len(again.frames))
+    same_frames, same_masks = (
+        (one[:together] == other[:together]).reshape(together, -1).all(axis=1)
+        for one, other in ((frames, again.frames), (masks, again.labels.masks))
+    )
+    same_states = _alike(states.agent, again.labels.agent, together)
+    same_states &= _alike(states.objects, again.labels.objects, together)
     for step in range(together):
         if not same_frames[step]:
-            return row.episode, f"frame {step} of episode {row.episode}"
-        if step < together - 1 and not np.array_equal(actions[step], again.labels.actions[step]):
-            return row.episode, f"action {step} of episode {row.episode}, which the policy chose,"
-    longer = len(frames) != len(again.frames)
-    return row.episode, f"the length of episode {row.episode}" if longer else ""
+            return row.episode, f"frame {step} of {whose}"
+        if not same_states[step]:
+            return row.episode, f"what the environment tells of its state at frame {step} of {whose}"
+        if not same_masks[step]:
+            return row.episode, f"the mask of frame {step} of {whose}"
+        if step < together - 1 and not np.array_equal(states.actions[step], again.labels.actions[step]):
+            return row.episode, f"action {step} of {whose}, which the policy chose,"
+    if len(frames) != len(again.frames):
+        return row.episode, f"the length of {whose}"
+    return row.episode, "" if states.factors == again.labels.factors else f"a factor of {whose}"
+
+
+def _alike(stored: ObjectStates, again: ObjectStates, count: int) -> Bool[np.ndarray, " t"]:
+    """At which of the first moments all things are told to be the same, bit by bit but for NaN."""
+    same = np.ones(count, np.bool_)
+    for one in fields(ObjectStates):
+        before, now = (np.asarray(getattr(states, one.name), np.float64)[:count] for states in (stored, again))
+        same &= ((before == now) | (np.isnan(before) & np.isnan(now))).reshape(count, -1).all(axis=1)
+    return same

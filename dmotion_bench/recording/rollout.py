@@ -108,7 +108,8 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
         action = policy(env, generator)
         taken = copy(action)  # a policy may return the same array again, and a step may write into it
         with guard("'step'"):
-            frame, _, terminated, truncated, _ = env.step(action)
+            frame, _, over, late, _ = env.step(action)
+            terminated, truncated = bool(over), bool(late)
         _require_picture(env.facts, frame)
         actions.append(taken)
         images.append(frame)

@@ -22,6 +22,7 @@ from dmotion_bench.errors import (
 )
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.local_executor import SerialExecutor
+from dmotion_bench.recording.failures import guarded
 from dmotion_bench.recording.policies import find_policy
 from dmotion_bench.recording.replay import replay_sample
 from dmotion_bench.recording.rollout import make_environment, record_episodes
@@ -139,7 +140,8 @@ def environment_facts(recipe: DatasetRecipe) -> EnvSpec:
     try:
         if recipe.vary:
             _require_factors(kind, recipe)
-            env.reset(seed=0, options={"vary": list(recipe.vary)})
+            with guarded(repr(recipe.environment), "'reset'", lambda: "with the seed 0 and the factors that vary"):
+                env.reset(seed=0, options={"vary": list(recipe.vary)})
         return env.facts
     finally:
         env.close()

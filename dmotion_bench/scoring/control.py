@@ -50,7 +50,7 @@ from dmotion_bench.planning.tasks import Judge, Problem, load_problems, task_env
 from dmotion_bench.scoring.earlier_planning import present_settings
 from dmotion_bench.scoring.kept_control import journal_of, kept_by_reference
 from dmotion_bench.scoring.prediction import MODEL, Execution
-from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows
+from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows, require_readable
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.values import require_bounds
 
@@ -249,9 +249,24 @@ def require_tasks(dataset: ReadableDataset) -> None:
 
 
 def control_tables(
-    model: ForwardModel[Any], dataset: ReadableDataset, scoring: ControlScoring, how: Execution, journal: Path | None
+    model: ForwardModel[Any],
+    dataset: ReadableDataset,
+    scoring: ControlScoring,
+    how: Execution,
+    journal: Path | None,
+    others: int = 0,
 ) -> list[pa.Table]:
-    """The samples of a model's control and of the references beside it."""
+    """The samples of a model's control and of the references beside it.
+
+    Args:
+        model, dataset, scoring: As ``score_control`` takes them.
+        how: Device and progress.
+        journal: The model's file to go on from.
+        others: How many samples the report has besides.
+
+    Raises:
+        InvalidSetting: With these there would be more than can be read again; else as ``score_control``.
+    """
 
     def advance(what: str) -> Advance:
         return lambda progress: how.progress(
@@ -262,9 +277,11 @@ def control_tables(
 
     require_tasks(dataset)
     problems = load_problems(dataset, scoring.tasks)
+    references = known_references(dataset, scoring, problems)
+    require_readable(others + (1 + len(references)) * len(problems) * (scoring.steps + 1), of_tasks=True)
     tables = [
         control_samples(name, score_reference(name, dataset, scoring, progress=advance(name), problems=problems))
-        for name in known_references(dataset, scoring, problems)
+        for name in references
     ]
     told = advance("the model")
     result = score_control(

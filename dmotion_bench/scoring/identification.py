@@ -52,7 +52,14 @@ from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_to_latent import ridge
 from dmotion_bench.learning.images import to_model
-from dmotion_bench.scoring.latent_models import AgentModel, AgentsModel, CodebookModel, LatentActionModel, ShiftModel
+from dmotion_bench.scoring.latent_models import (
+    AgentModel,
+    AgentsModel,
+    CodebookModel,
+    LatentActionModel,
+    ShiftModel,
+    codes_fault,
+)
 from dmotion_bench.scoring.probes import LEAST_VARIANCE, probe
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, Estimate
 from dmotion_bench.scoring.transitions import HeldOut
@@ -111,7 +118,7 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
     """Ask a model about every held-out triplet, in the order of ``held_out.batches``.
 
     Raises:
-        ModelContractBroken: A latent action, or a map of an agent, holds NaN or infinity.
+        ModelContractBroken: A latent action, or a map of an agent, holds NaN or infinity; or its codes cannot be.
     """
     motions, together, overlaps, shift_errors, actions, episodes, steps = [], [], [], [], [], [], []
     codes = list[Tensor]()
@@ -130,7 +137,10 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
         episodes.append(batch.episode)
         steps.append(batch.step)
         if isinstance(model, CodebookModel):
-            codes.append(model.chosen_codes(previous, current, following).flatten(1).cpu())
+            chosen = model.chosen_codes(previous, current, following)
+            if fault := codes_fault(chosen, model.codebook_sizes, len(batch)):
+                raise ModelContractBroken(f"{type(model).__name__}.chosen_codes gave {fault}.")
+            codes.append(chosen.flatten(1).cpu())
     motion_table, action, episode = torch.cat(motions).numpy(), np.concatenate(actions), np.concatenate(episodes)
     spec, undefined = held_out.dataset.spec.actions, np.full(len(action), np.nan)
     if isinstance(spec, Continuous):

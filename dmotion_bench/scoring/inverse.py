@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 
 
@@ -30,7 +31,15 @@ class InverseModel(Protocol):
 
 
 def inverse_figures(named: Actions, action: Actions, spec: ActionSpec | None) -> dict[str, Float[Tensor, " b"]]:
-    """The figure of each triplet: of its kind of action, the other is left out."""
+    """The figure of each triplet: of its kind of action, the other is left out.
+
+    Raises:
+        ModelContractBroken: There is not an action for each triplet.
+    """
+    if named.shape != action.shape:
+        raise ModelContractBroken(
+            f"infer_action gave actions of the shape {tuple(named.shape)}; the contract asks for {tuple(action.shape)}."
+        )
     if isinstance(spec, Continuous):
         encoding = ActionEncoding(spec).to(action.device)
         return {"inverse_error": (encoding(named) - encoding(action)).square().mean(1)}

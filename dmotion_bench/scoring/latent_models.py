@@ -6,7 +6,8 @@ A model implements what it has; scoring, viewing and the checks of a model's con
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
 
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -74,3 +75,22 @@ class CodebookModel(Protocol):
         following: Float[Tensor, "b c h w"],
     ) -> Int[Tensor, "b k m"]:
         """The numbers of the ``m`` codes that the latent action takes from each codebook."""
+
+
+def codes_fault(codes: Any, sizes: Sequence[int], count: int) -> str | None:
+    """What is wrong with chosen codes, to follow "gave"; None if nothing is.
+
+    Args:
+        codes: As ``chosen_codes`` gave them.
+        sizes: The model's ``codebook_sizes``.
+        count: Of rows that were asked about.
+    """
+    if not isinstance(codes, Tensor) or codes.is_floating_point():
+        return "codes that are no tensor of whole numbers"
+    if codes.ndim != 3 or codes.shape[:2] != (count, len(sizes)):
+        return f"codes of the shape {tuple(codes.shape)}, not ({count}, {len(sizes)}, codes of each codebook)"
+    for number, size in enumerate(sizes):
+        own = codes[:, number]
+        if own.numel() and not 0 <= int(own.min()) <= int(own.max()) < size:
+            return f"the codes {int(own.min())} to {int(own.max())} of codebook {number}, which has {size}"
+    return None

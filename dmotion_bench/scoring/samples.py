@@ -211,17 +211,21 @@ def vectors(samples: pa.Table, name: str) -> Shaped[np.ndarray, "n d"] | None:
     return matrix
 
 
-def require_readable(rows: int) -> None:
+def require_readable(rows: int, *, of_tasks: bool = False) -> None:
     """Check that so many samples can be read again.
+
+    Args:
+        rows: Of a report.
+        of_tasks: Whether control tasks make too many of them.
 
     Raises:
         InvalidSetting: They are too many.
     """
     if rows > MOST_SAMPLES:
-        raise InvalidSetting(
-            f"the test episodes would make {rows:,} samples, and a report can have {MOST_SAMPLES:,}; score the run on "
-            "a data set with fewer episodes ('--data')."
-        )
+        what, instead = "the test episodes", "score the run on a data set with fewer episodes ('--data')"
+        if of_tasks:
+            what, instead = "the control tasks, with what else the report holds,", "work on fewer of them ('--tasks')"
+        raise InvalidSetting(f"{what} would make {rows:,} samples, and a report can have {MOST_SAMPLES:,}; {instead}.")
 
 
 def write_samples(path: Path, samples: pa.Table) -> None:

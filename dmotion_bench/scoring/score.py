@@ -153,7 +153,7 @@ def score_model(
         with predicting(how.device):
             tables += gain_tables(model, dataset, settings.split, settings.gain, how)
     if "control" in metrics:
-        tables += control_tables(model, dataset, settings.control, how, journal)
+        tables += control_tables(model, dataset, settings.control, how, journal, sum(map(len, tables)))
     return _scores(pa.concat_tables(tables) if tables else SCHEMA.empty_table(), settings)
 
 

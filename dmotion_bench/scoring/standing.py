@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from dmotion_bench.errors import DmbenchError, UnknownName
+from dmotion_bench.errors import DmbenchError, InvalidSetting, RunCorrupt, UnknownName
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
@@ -19,6 +19,9 @@ from dmotion_bench.scoring.report import SCORING_VERSION, Report, read_report, r
 from dmotion_bench.scoring.samples import PICTURE_CONTROL, SCHEMA
 from dmotion_bench.scoring.settings import METRICS, OWN_SETTINGS, ScoreSettings
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.wording import shown
+
+_SettingsT = TypeVar("_SettingsT")
 
 
 def standing_report(folder: Path, run: Run, dataset: Dataset) -> tuple[Report | None, pa.Table]:
@@ -42,21 +45,33 @@ def with_standing(settings: ScoreSettings, report: Report, metrics: tuple[str, .
     """Take the settings of groups that are not asked for from the report.
 
     Raises:
-        DmbenchError: It holds control by a planner that is not installed.
+        DmbenchError: It holds control or a gain by a planner or an objective that is not installed.
+        RunCorrupt: It holds settings that cannot be.
     """
     if "rollout" not in metrics:
         settings = replace(settings, horizon=report.settings["horizon"])
     if "gain" not in metrics and "gain" in report.settings["metrics"]:
-        settings = replace(settings, gain=GainScoring.from_json(report.settings))
+        settings = replace(settings, gain=_settings_of(report, "the gain captured", GainScoring.from_json))
     if "control" not in metrics and "control" in report.settings["metrics"]:
-        try:
-            settings = replace(settings, control=ControlScoring.from_json(report.settings))
-        except UnknownName as error:
-            raise DmbenchError(
-                f"the run's report holds control by what is not installed here: {error} Install the package that "
-                "brings it, or move the report away to begin another."
-            ) from None
+        settings = replace(settings, control=_settings_of(report, "control", ControlScoring.from_json))
     return settings
+
+
+def _settings_of(report: Report, what: str, read: Callable[[Mapping[str, Any]], _SettingsT]) -> _SettingsT:
+    """The settings of a group of a report's figures."""
+    try:
+        return read(report.settings)
+    except UnknownName as error:
+        raise DmbenchError(
+            f"the run's report holds {what} by what is not installed here: {error} Install the package that "
+            "brings it, or move the report away to begin another."
+        ) from None
+    except (InvalidSetting, KeyError, TypeError, ValueError, AttributeError) as error:
+        why = f"{error.args[0]!r} is missing" if isinstance(error, KeyError) else str(error).rstrip(".")
+        raise RunCorrupt(
+            f"the report of {shown(report.run)} holds {what} by settings that cannot be ({why}); move the report away "
+            "and score the run again."
+        ) from None
 
 
 def planning_of(run: Run, dataset: Dataset, settings: ScoreSettings) -> dict[str, Any]:

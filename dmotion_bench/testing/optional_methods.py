@@ -9,7 +9,8 @@ from torch import Tensor
 
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.planning.dynamics.model import BranchingModel, FeatureModel, PixelModel
-from dmotion_bench.scoring.latent_models import LatentActionModel
+from dmotion_bench.scoring.inverse import InverseModel
+from dmotion_bench.scoring.latent_models import CodebookModel, LatentActionModel, codes_fault
 from dmotion_bench.scoring.latent_ranking import EmbeddingModel
 from dmotion_bench.scoring.latent_samples import LatentBranchingModel
 from dmotion_bench.testing.prediction import check_frames
@@ -36,13 +37,24 @@ def check_optional_methods(subject: ModelTrial) -> None:
         )
         apart = int((pixels.int() - frames.int()).abs().max())
         subject.require(apart <= 1, f"pixels(state) differs from the pixels of frame(state) by up to {apart}")
-    for name, protocol in (("features", FeatureModel), ("embedding", EmbeddingModel)):
+    for name, protocol, axes in (("features", FeatureModel, 2), ("embedding", EmbeddingModel, None)):
         if isinstance(model, protocol):
             with torch.inference_mode(), subject.calling(f"{name}(state)"):
                 found = getattr(model, name)(state)
-            _check_rows(subject, f"{name}(state)", found, BATCH)
+            _check_rows(subject, f"{name}(state)", found, BATCH, axes)
     if isinstance(model, LatentActionModel):
         _check_latent_actions(subject, model, previous, current)
+    if isinstance(model, InverseModel):
+        method = "infer_action(previous, current, following)"
+        with torch.inference_mode(), subject.calling(method):
+            named = model.infer_action(previous, current, subject.images(BATCH, 3))
+        wanted = subject.actions(BATCH)
+        subject.require(
+            isinstance(named, Tensor)
+            and named.shape == wanted.shape
+            and named.is_floating_point() == wanted.is_floating_point(),
+            f"{method} gave {described(named)}, not an action for each of {BATCH} rows: {described(wanted)}",
+        )
 
 
 def _check_branch(subject: ModelTrial, model: Any, state: tuple[Tensor, ...]) -> None:
@@ -57,7 +69,12 @@ def _check_latent_actions(subject: ModelTrial, model: Any, previous: Tensor, cur
     method = "latent_action(previous, current, following)"
     with torch.inference_mode(), subject.calling(method):
         latent = model.latent_action(previous, current, subject.images(BATCH, 3))
-    _check_rows(subject, method, latent, BATCH)
+    _check_rows(subject, method, latent, BATCH, 2)
+    if isinstance(model, CodebookModel):
+        method = "chosen_codes(previous, current, following)"
+        with torch.inference_mode(), subject.calling(method):
+            codes = model.chosen_codes(previous, current, subject.images(BATCH, 3))
+        subject.require(not (fault := codes_fault(codes, model.codebook_sizes, BATCH)), f"{method} gave {fault}")
     method = "predict_with_latent(previous, current, latent)"
     with torch.inference_mode(), subject.calling(method):
         frames = model.predict_with_latent(previous, current, latent)
@@ -72,9 +89,10 @@ def _check_latent_actions(subject: ModelTrial, model: Any, previous: Tensor, cur
         )
 
 
-def _check_rows(subject: ModelTrial, method: str, found: Any, count: int) -> None:
+def _check_rows(subject: ModelTrial, method: str, found: Any, count: int, axes: int | None = None) -> None:
+    """Check that there is a vector, or something with so many axes, for each row; finite."""
     subject.require(
-        isinstance(found, Tensor) and found.ndim > 1 and len(found) == count,
+        isinstance(found, Tensor) and found.ndim > 1 and len(found) == count and (axes is None or found.ndim == axes),
         f"{method} gave {described(found)}, not a vector for each of {count} rows",
     )
     subject.require(bool(found.isfinite().all()), f"{method} gave numbers that are not finite")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import sys
 import warnings
 from collections.abc import Iterator
@@ -13,6 +14,8 @@ from dmotion_bench.errors import DmbenchError, InvalidSetting, PackageNotInstall
 from recorders.gymnasium_env.worlds import MODULES
 
 _EGL: Final = "apt-get install libegl1 libegl-mesa0 libgl1-mesa-dri"
+_SCREENLESS: Final = re.compile(r"EGL|\begl(\b|[A-Z_])|(?i:opengl|glfw|osmesa|display)")
+"""In what is said where there is no screen; ``egl`` alone is in "neglected", too."""
 
 
 @contextlib.contextmanager
@@ -48,7 +51,7 @@ def unmade(name: str, error: Exception) -> DmbenchError:
     if (missing := missing_package(name, error)) is not None:
         return missing
     said = f"{type(error).__name__}: {error}".rstrip(".")
-    if any(word in said.lower() for word in ("egl", "opengl", "glfw", "osmesa", "display")):
+    if _SCREENLESS.search(said):
         return InvalidSetting(
             f"{name!r} cannot draw without a screen here ({said}); install EGL with '{_EGL}' and set MUJOCO_GL=egl, or "
             "MUJOCO_GL=osmesa with 'libosmesa6'."

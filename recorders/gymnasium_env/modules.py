@@ -9,7 +9,9 @@ from __future__ import annotations
 import importlib
 import re
 from functools import cache
-from importlib.metadata import distribution, packages_distributions
+from importlib.machinery import PathFinder
+from importlib.metadata import distribution, distributions, packages_distributions
+from pathlib import Path
 from typing import Any
 
 from dmotion_bench.errors import UsageError
@@ -44,7 +46,7 @@ def owners_of(module: str, wanted_by: str) -> tuple[str, ...]:
         UsageError: It is none that may be imported.
     """
     top = module.partition(".")[0]
-    owners = packages_distributions().get(top, [])
+    owners = packages_distributions().get(top) or _linking(top)
     needed = {_package(one) for owner in owners for one in distribution(owner).requires or []}
     if top != "gymnasium" and "gymnasium" not in needed:
         said = f"is of the package {owners[0]!r}, which does not" if owners else "is in no installed package"
@@ -54,6 +56,33 @@ def owners_of(module: str, wanted_by: str) -> tuple[str, ...]:
             "yours with 'pip install -e DIR'."
         )
     return tuple(owners)
+
+
+def _linking(top: str) -> list[str]:
+    """The packages that were installed with ``pip install -e`` and bring a module: of some, only a folder is known.
+
+    Such an installation names folders in a file ``.pth``, as hatchling's, and none of the modules that lie there.
+    """
+    return sorted(
+        {
+            one.name
+            for one in distributions()
+            if one.read_text("direct_url.json")  # as all of them have; to read what files the others have takes seconds
+            for file in one.files or ()
+            if file.suffix == ".pth" and top.isidentifier()
+            for folder in _folders(Path(str(file.locate())))
+            if PathFinder.find_spec(top, [str(folder)]) is not None
+        }
+    )
+
+
+def _folders(file: Path) -> list[Path]:
+    """The folders that a file ``.pth`` puts on the path; lines that are code are none."""
+    try:
+        lines = file.read_text(encoding="utf-8").splitlines()
+    except (OSError, ValueError):
+        return []
+    return [file.parent / line.strip() for line in lines if line.strip() and not line.startswith(("#", "import"))]
 
 
 def _package(requirement: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -94,6 +95,55 @@ def test_a_memory_is_sequences_of_actions(
         solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
 
 
+@pytest.mark.parametrize(
+    ("part", "told", "said"),
+    [
+        ("memory", np.array([[[0, 4]]]), "remembers the action 4; there are 0 to 3, and -1 for none"),
+        ("memory", np.array([[[-2]]]), "remembers the action -2; there are"),
+        ("frames", None, "says that it predicted None frames; it must be a whole number from 0 on"),
+        ("frames", 2.5, "predicted 2.5 frames"),
+        ("frames", -1, "predicted -1 frames"),
+    ],
+)
+def test_what_no_journal_could_keep_is_refused(
+    problems: list[Problem], part: str, told: Any, said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is = CrossEntropy.plan
+
+    def telling(*given: Any) -> Any:
+        plan = as_it_is(*given)
+        object.__setattr__(plan, part, told)
+        return plan
+
+    monkeypatch.setattr(CrossEntropy, "plan", telling)
+    with pytest.raises(PlannerContractBroken, match=said):
+        solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
+
+
+@pytest.mark.parametrize("sequences", [2, 0])
+def test_a_memory_comes_back_as_a_journal_gives_it(
+    problems: list[Problem], sequences: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    memory = np.ones((1, sequences, SMALL.horizon), np.int8)
+    as_it_is, given_back = CrossEntropy.plan, list[Any]()
+
+    def remembering(self: Any, dynamics: Any, evaluator: Any, context: Any) -> Any:
+        given_back.append(context.memory)
+        plan = as_it_is(self, dynamics, evaluator, replace(context, memory=None))
+        object.__setattr__(plan, "memory", memory)
+        return plan
+
+    monkeypatch.setattr(CrossEntropy, "plan", remembering)
+    solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
+    first, second = given_back
+    assert first is None
+    if sequences:
+        assert second.dtype == np.int64
+        np.testing.assert_array_equal(second, memory)
+    else:
+        assert second is None
+
+
 def test_a_solver_that_writes_into_what_it_sees_does_so_for_itself(
     problems: list[Problem], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -115,6 +165,13 @@ def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypa
     monkeypatch.setattr(SimulatorDynamics, "true_costs", lambda *given: as_it_is(*given) * float("nan"))
     with pytest.raises(PlannerContractBroken, match=r"costs that are not numbers \(NaN\)"):
         solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=1)
+
+
+def test_features_of_a_model_that_diverged_are_the_models_fault(problems: list[Problem]) -> None:
+    diverged = breaks(Sound, features=lambda _, state: state[0].mean((2, 3)) * float("nan"))
+    model = diverged(SoundConfig(), ModelInputs(height=FACTS.height, width=FACTS.width, actions=FACTS.actions))
+    with pytest.raises(ModelContractBroken, match="the model's features of the goal image hold NaN or infinity"):
+        solve(ModelAgent(model, FACTS, SMALL, Feature()), problems[:1], steps=1)
 
 
 class Odd(Memoryless):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from dmotion_bench.environment import Environment, Restorable, Undrawn
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import InvalidSetting, RecordingFailed
 from dmotion_bench.planning.agents import NO_ACTION, make_reference
 from dmotion_bench.planning.dynamics.simulator import Simulation
 from dmotion_bench.planning.mpc import ControlSettings, control
@@ -174,3 +174,19 @@ def test_what_cannot_be_restored_is_replayed_and_nothing_is_tried_twice(problems
     assert simulation.here.name == place.name
     assert simulation.tried == tried
     assert env.starts > 2
+
+
+@pytest.mark.parametrize(("method", "said"), [("step", "in a control task, at the action"), ("reset", "of task 0")])
+def test_what_an_environment_raises_in_a_task_is_a_sentence(method: str, said: str) -> None:
+    class Ended(PlanarPush):
+        """Goes on to nothing."""
+
+    def ended(*_: Any, **__: Any) -> Any:
+        raise AssertionError("the episode is over")
+
+    env = PlanarPush()
+    problem = away_from(env, env.reset(seed=0)[0], ControlTask(0, 0, 9), 0)
+    setattr(Ended, method, ended)
+    agent = make_reference("random", env.facts, Ended, CrossEntropy())
+    with pytest.raises(RecordingFailed, match=rf"raised AssertionError in '{method}' .*{said}.*the episode is over"):
+        control(agent, [problem], Ended, ControlSettings(steps=1))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -9,12 +10,12 @@ import gymnasium
 import numpy as np
 import pytest
 
-from dmotion_bench.errors import DmbenchError, InvalidSetting, UsageError
+from dmotion_bench.errors import DmbenchError, InvalidSetting, RecordingFailed, UsageError
 from dmotion_bench.recording import session
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.registry import register_environment
-from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.specs import DatasetRecipe, ObjectStates
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Replay
 from recorders.grid_world import GridWorld
@@ -59,6 +60,38 @@ class Factless(GridWorld):
         del self.facts
 
 
+class Drifting(GridWorld):
+    """Draws the same again, and tells other places."""
+
+    def objects(self) -> ObjectStates:
+        told = super().objects()
+        return replace(told, position=told.position + np.random.default_rng().uniform(0, 1e-3))
+
+
+class Masked(GridWorld):
+    """Draws the same again, with another mask."""
+
+    def masks(self) -> Any:
+        return np.random.default_rng().integers(0, 2, (self.facts.height, self.facts.width), np.uint8)
+
+
+class Undecided(GridWorld):
+    """Says of each thing whether the episode is over."""
+
+    def step(self, action: int) -> Any:
+        frame, reward, _, truncated, info = super().step(action)
+        return frame, reward, np.zeros(2, np.bool_), truncated, info
+
+
+class Invariable(GridWorld):
+    """Names a factor that it cannot vary."""
+
+    factors: ClassVar[Any] = {"light": "its own"}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        return super().reset(seed=seed, options=options and {}[options["vary"][0]])
+
+
 class Wrong(GridWorld):
     """Its policy chooses what there is not."""
 
@@ -68,7 +101,7 @@ class Wrong(GridWorld):
 @pytest.fixture(autouse=True)
 def own(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
-    for kind in (Own, Forgetful, Sure, Still, Unmade, Factless, Wrong):
+    for kind in (Own, Forgetful, Sure, Still, Unmade, Factless, Drifting, Masked, Undecided, Invariable, Wrong):
         register_environment(kind.__name__.lower(), kind)
 
 
@@ -83,6 +116,20 @@ def test_one_that_repeats_is_found_to(tmp_path: Path) -> None:
 
 def test_one_that_does_not_has_no_tasks(tmp_path: Path) -> None:
     assert replay_of("forgetful", tmp_path / "d") == Replay(episodes=(0, 2, 4), differs="frame 0 of episode 0")
+    assert Dataset.open(tmp_path / "d").tasks() == []
+
+
+@pytest.mark.parametrize(
+    ("environment", "said"),
+    [
+        ("drifting", "what the environment tells of its state at frame 0 of episode 0"),
+        ("masked", "the mask of frame 0 of episode 0"),
+    ],
+)
+def test_one_that_tells_something_else_of_the_same_picture_does_not_repeat(
+    environment: str, said: str, tmp_path: Path
+) -> None:
+    assert replay_of(environment, tmp_path / "d") == Replay(episodes=(0, 2, 4), differs=said)
     assert Dataset.open(tmp_path / "d").tasks() == []
 
 
@@ -108,6 +155,7 @@ def test_its_own_steps_are_recorded(tmp_path: Path) -> None:
     [
         ("unmade", "'unmade' cannot be made: ValueError: no licence."),
         ("factless", "'factless' has no 'facts'"),
+        ("undecided", "raised ValueError in 'step' at step 0 of the episode with seed"),
         ("wrong", "the policy 'random' chose action 9; there are 4"),
         (GridWorld, "is not the name of an environment; .* register_environment"),
     ],
@@ -115,6 +163,20 @@ def test_its_own_steps_are_recorded(tmp_path: Path) -> None:
 def test_what_is_wrong_with_it_is_a_sentence(environment: Any, said: str, tmp_path: Path) -> None:
     with pytest.raises(DmbenchError, match=said):
         replay_of(environment, tmp_path / "d")
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_factor_that_it_cannot_vary_is_a_sentence(tmp_path: Path) -> None:
+    recipe = DatasetRecipe(environment="invariable", episodes=5, frames=6, tasks=1, shard_episodes=3, vary=("light",))
+    with pytest.raises(RecordingFailed, match="'invariable' raised KeyError in 'reset' with the seed 0"):
+        record_dataset(tmp_path / "d", recipe)
+
+
+@pytest.mark.parametrize("policy", ["Needy", "Failing"])
+def test_a_policy_that_cannot_be_made_is_a_sentence(policy: str, tmp_path: Path) -> None:
+    recipe = DatasetRecipe(environment="own", policy=f"own_policies:{policy}", episodes=5, frames=6, shard_episodes=3)
+    with pytest.raises(RecordingFailed, match=f"the policy 'own_policies:{policy}' raised .*; a class is made anew"):
+        record_dataset(tmp_path / "d", recipe)
     assert not (tmp_path / "d").exists()
 
 

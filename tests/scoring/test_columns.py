@@ -157,6 +157,21 @@ def test_other_tasks_than_the_protocols_are_refused(
     assert score_run(run.path, metrics=None, settings=column, data=tasks.path).column == "paper"
 
 
+def test_the_test_tasks_in_other_pictures_are_refused(
+    tasks: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(columns, "TEST", TaskData(name="test", seed=5))
+    monkeypatch.setattr(GridWorld, "test_tasks", {2: {"": tasks_hash(tasks)}}, raising=False)
+    record_dataset(tmp_path / "varied", _recipe(vary=("movers",)))
+    varied = Dataset.open(tmp_path / "varied")
+
+    assert tasks_hash(varied) == tasks_hash(tasks)
+    assert not np.array_equal(varied.video(0), tasks.video(0))
+    columns.require_fitting_tasks(tasks)
+    with pytest.raises(InvalidSetting, match="'varied' are not the test tasks of dmbench-2; record them with"):
+        columns.require_fitting_tasks(varied)
+
+
 def test_a_column_and_a_planner_cannot_both_be_named() -> None:
     from dmotion_bench.api.scoring import control_scoring
 

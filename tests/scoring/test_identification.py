@@ -116,7 +116,14 @@ def test_latent_actions_and_maps_that_hold_no_numbers_are_refused(grid: Dataset)
         def agent_map(self, current: Tensor) -> Tensor:
             return torch.full_like(current[:, 0], torch.nan)
 
+    class Overflowing(KnowsNoPlace):
+        codebook_sizes = (8,)
+
+        def chosen_codes(self, previous: Tensor, current: Tensor, following: Tensor) -> Tensor:
+            return torch.full((len(current), 1, 1), 8)
+
     for model, said in (
+        (Overflowing(), r"Overflowing\.chosen_codes gave the codes 8 to 8 of codebook 0, which has 8"),
         (Diverged(), "the latent actions of Diverged hold NaN or infinity"),
         (SeesNothing(), "the maps of agents of SeesNothing hold NaN or infinity"),
     ):

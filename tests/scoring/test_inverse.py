@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from dmotion_bench.actions import Continuous, Discrete
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.scoring.inverse import inverse_figures
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS
 
@@ -22,3 +23,8 @@ def test_named_numbers_are_compared_in_units_of_their_bounds() -> None:
     found = inverse_figures(named, true, MOVES)
     assert found["inverse_error"].tolist() == pytest.approx([0, (2**2 + 1**2) / 2])
     assert set(found) <= set(FIGURE_COLUMNS)
+
+
+def test_names_that_are_not_one_for_each_triplet_are_refused() -> None:
+    with pytest.raises(ModelContractBroken, match=r"shape \(3, 1\); the contract asks for \(3,\)"):
+        inverse_figures(torch.zeros(3, 1), torch.tensor([0, 1, 1]), Discrete.numbered(3))

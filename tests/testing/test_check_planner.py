@@ -19,6 +19,7 @@ from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
 from dmotion_bench.planning.objectives.base import Memoryless, StepCost
 from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.solvers.base import best_first
+from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.solvers.prefix_tree import PrefixTree
 from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.storage.dataset import Dataset
@@ -82,6 +83,17 @@ class Dice:
 
 def test_the_tutorials_solver_keeps_the_contract() -> None:
     check_solver(Dice)
+
+
+def test_a_memory_of_other_actions_is_found() -> None:
+    class Wide(CrossEntropy):
+        def plan(self, *given: Any) -> Any:
+            plan = super().plan(*given)
+            object.__setattr__(plan, "memory", np.zeros((*plan.candidates.shape[:3], 5)))  # past the check of shapes
+            return plan
+
+    with pytest.raises(PlannerContractBroken, match="remembers actions of 5 numbers; there are 2 in each"):
+        check_solver(Wide, actions=CONTINUOUS)
 
 
 def _of_numpy(self: Dice, actions: int, context: Any) -> Any:

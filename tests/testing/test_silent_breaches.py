@@ -213,6 +213,26 @@ BREACHES: dict[str, tuple[type, str]] = {
         breaks(Recurrent, features=lambda self, state: state[0].mean()),
         r"features\(state\) gave the shape \(\), not a vector for each of 3 rows",
     ),
+    "features of several axes": (
+        breaks(Recurrent, features=lambda self, state: state[0]),
+        r"features\(state\) gave the shape \(3, .*\), not a vector for each of 3 rows",
+    ),
+    "named actions": (
+        breaks(Recurrent, infer_action=lambda self, *frames: torch.zeros(3, 1, dtype=torch.int64)),
+        r"infer_action\(previous, current, following\) gave the shape \(3, 1\), not an action for each of 3 rows: the ",
+    ),
+    "chances in place of named actions": (
+        breaks(Recurrent, infer_action=lambda self, *frames: torch.zeros(3)),
+        r"infer_action\(previous, current, following\) gave the shape \(3,\), not an action for each of 3 rows",
+    ),
+    "codes": (
+        breaks(Reading, codebook_sizes=(2,), chosen_codes=lambda self, *frames: torch.full((3, 1, 2), 2)),
+        r"chosen_codes\(previous, current, following\) gave the codes 2 to 2 of codebook 0, which has 2",
+    ),
+    "codes of one codebook": (
+        breaks(Reading, codebook_sizes=(2, 2), chosen_codes=lambda self, *frames: torch.zeros(3, 1, 1).long()),
+        r"gave codes of the shape \(3, 1, 1\), not \(3, 2, codes of each codebook\)",
+    ),
     "embedding": (
         breaks(Recurrent, embedding=lambda self, state: state[0] / 0),
         r"embedding\(state\) gave numbers that are not finite",
@@ -220,6 +240,10 @@ BREACHES: dict[str, tuple[type, str]] = {
     "latent action": (
         breaks(Reading, latent_action=lambda self, *frames: Reading.latent_action(self, *frames)[0]),
         r"latent_action\(previous, current, following\) gave the shape \(3,\), not a vector for each of 3 rows",
+    ),
+    "latent action of several axes": (
+        breaks(Reading, latent_action=lambda self, *frames: Reading.latent_action(self, *frames)[:, None]),
+        r"latent_action\(previous, current, following\) gave the shape \(3, 1, 3\), not a vector for each of 3 rows",
     ),
     "prediction with a latent action": (
         breaks(Reading, predict_with_latent=lambda self, *a: Reading.predict_with_latent(self, *a)[..., :8]),

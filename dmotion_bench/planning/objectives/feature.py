@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State
 from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
 from dmotion_bench.specs import EnvSpec
@@ -32,10 +34,19 @@ class FeatureEvaluator(Memoryless):
         self._wanted: Float[Tensor, "b d"] | None = None
 
     def begin(self, dynamics: Dynamics) -> CostState:
-        """Nothing is carried; the goals' features are computed at the first step, for they do not change."""
+        """Nothing is carried; the goals' features are computed at the first step, for they do not change.
+
+        Raises:
+            ModelContractBroken: They hold NaN or infinity, so no state could be compared with them.
+        """
         if self._wanted is None:
             seen = Observation(previous=self._goals, current=self._goals, goals=self._goals)
-            self._wanted = dynamics.features(dynamics.start(seen))
+            wanted = dynamics.features(dynamics.start(seen))
+            if not bool(torch.isfinite(wanted).all()):
+                raise ModelContractBroken(
+                    "the model's features of the goal image hold NaN or infinity; its training diverged."
+                )
+            self._wanted = wanted
         return ()
 
     def step(

@@ -19,16 +19,27 @@ from dmotion_bench.wording import shown
 def checked_plan(solver: Solver, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
     """The plan of a solver, its action and its memory as arrays; arguments as of ``Solver.plan``.
 
+    Its memory is what a journal gives back: in 64 bits, and None for one that holds no action.
+
     Raises:
-        PlannerContractBroken: The solver raises an error, returns no plan, or no action for each task, or remembers
-            something else than sequences of actions.
+        PlannerContractBroken: The solver raises an error, returns no plan, or no action for each task, counts frames
+            that are no number of them, or remembers something else than sequences of actions.
     """
     with calling(solver, "plan"):
         plan: Any = solver.plan(dynamics, evaluator, context)
     if not isinstance(plan, Plan):
         raise PlannerContractBroken(f"the solver returns {shown(type(plan).__name__)}; it must return a Plan.")
     spec, tasks = dynamics.actions, len(context.generators)
-    return dataclasses.replace(plan, action=_action(plan.action, spec, tasks), memory=_memory(plan.memory, spec, tasks))
+    if not isinstance(plan.frames, int | np.integer) or plan.frames < 0:
+        raise PlannerContractBroken(
+            f"the solver says that it predicted {shown(plan.frames)} frames; it must be a whole number from 0 on."
+        )
+    return dataclasses.replace(
+        plan,
+        action=_action(plan.action, spec, tasks),
+        frames=int(plan.frames),
+        memory=_memory(plan.memory, spec, tasks),
+    )
 
 
 def _action(given: Any, spec: ActionSpec, tasks: int) -> Any:
@@ -61,7 +72,17 @@ def _memory(given: Any, spec: ActionSpec, tasks: int) -> Any:
             f"{found.dtype}; it must be None or an array of sequences of actions, ({tasks}, sequences, "
             f"steps{'' if discrete else ', numbers'})."
         )
-    return found
+    if isinstance(spec, Discrete):
+        wrong = found[(found < -1) | (found >= len(spec))]
+        if wrong.size:
+            raise PlannerContractBroken(
+                f"the solver remembers the action {wrong[0]}; there are 0 to {len(spec) - 1}, and -1 for none."
+            )
+    elif found.shape[3] != spec.width:
+        raise PlannerContractBroken(
+            f"the solver remembers actions of {found.shape[3]} numbers; there are {spec.width} in each."
+        )
+    return found.astype(np.int64 if discrete else np.float64) if found.size else None
 
 
 def _array(given: Any) -> Any:

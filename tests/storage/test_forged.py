@@ -238,6 +238,14 @@ def test_a_row_that_cannot_be_is_refused(path: Path, column: str, row: int, valu
     refused(path, "episodes.parquet' is damaged")
 
 
+def test_a_time_that_exceeds_64_bits_is_refused(tmp_path: Path) -> None:
+    """Four frames that are 2**62 ns apart last 2**64 ns, which 64 bits take for none."""
+    path = write_noise(tmp_path / "d", episodes=1, lengths=[4]).path
+    change_manifest(path, lambda content: content["recipe"].update(environment="imported"))
+    change_manifest(path, lambda content: content["environment"].update(step_ns=2**62))
+    refused(path, "starts at no time that a time stamp can say")
+
+
 def test_spans_of_labels_that_do_not_exist_are_refused(path: Path) -> None:
     def unlabelled(content: Content) -> None:
         for shard in content["shards"]:
@@ -328,6 +336,12 @@ def test_a_recording_that_could_not_be_read_is_not_begun(tmp_path: Path) -> None
         with pytest.raises(InvalidSetting, match="there can be no such data set"):
             DatasetWriter.create_or_resume(tmp_path / "d", DatasetRecipe(**{"environment": "noise", **recipe}), spec)
         assert not (tmp_path / "d" / DATASET_MANIFEST).exists()
+
+
+def test_a_data_set_that_lists_more_shards_than_are_read_is_not_begun(tmp_path: Path) -> None:
+    many = DatasetRecipe(environment="noise", episodes=100_000, frames=3, shard_episodes=1)
+    with pytest.raises(InvalidSetting, match=r"its dataset.json would be larger than .* with 100,000 shards"):
+        DatasetWriter.create_or_resume(tmp_path / "d", many, noise_spec())
 
 
 def test_an_episode_of_the_largest_size_takes_half_a_gigabyte() -> None:

@@ -82,7 +82,7 @@ class DatasetWriter:
             packages: Whose versions also stand in ``dataset.json``.
 
         Raises:
-            RecipeMismatch: What stands there was made by another recipe, or is larger.
+            RecipeMismatch: What stands there was made by another recipe, or is larger, or has more control tasks.
             InvalidSetting: There can be no such data set.
             UsageError: The folder holds something else.
         """
@@ -319,6 +319,11 @@ def check_recipe(
         raise RecipeMismatch(
             f"{str(path)!r} is a data set of {standing.recipe.episodes} episodes, more than the {recipe.episodes} "
             f"asked for; for a smaller one {elsewhere}."
+        )
+    if standing.recipe.tasks > recipe.tasks:
+        raise RecipeMismatch(
+            f"{str(path)!r} was recorded with '--tasks {standing.recipe.tasks}', more than the {recipe.tasks} asked "
+            f"for; give this option again to keep its control tasks, or {elsewhere}."
         )
 
 

@@ -56,6 +56,18 @@ def test_extending_keeps_full_shards_and_gives_what_recording_at_once_gives(tmp_
     assert after == files_of(tmp_path / "at once")
 
 
+@pytest.mark.parametrize("kind", ["video", "labels"])
+def test_a_shard_that_was_damaged_is_written_anew_when_a_data_set_is_extended(tmp_path: Path, kind: str) -> None:
+    """Else the hash of the damaged file would become the one that is stated."""
+    path = write_noise(tmp_path / "d", episodes=6).path
+    damaged = path / kind / "shard-00000.mcap"
+    content = bytearray(damaged.read_bytes())
+    content[len(content) * 2 // 5] ^= 0x10
+    damaged.write_bytes(content)
+    write_noise(path, episodes=9)
+    assert files_of(path) == files_of(write_noise(tmp_path / "at once", episodes=9).path)
+
+
 def test_what_goes_on_with_other_packages_names_those_of_before_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

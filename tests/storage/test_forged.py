@@ -25,7 +25,7 @@ from dmotion_bench.storage.limits import most_frames
 from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
 from dmotion_bench.storage.messages import decode_states, encode_states
 from dmotion_bench.storage.parquet_pages import list_pages
-from dmotion_bench.storage.schema import ACTION, STATES
+from dmotion_bench.storage.schema import ACTION, FACTORS, STATES
 from dmotion_bench.storage.shard import shard_path
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
@@ -378,8 +378,9 @@ def test_more_messages_than_frames_are_damage() -> None:
     spec = noise_spec(objects=0)
     act = MessageView(1, 0, memoryview(ACTION.new(action=1).SerializeToString()))
     state = MessageView(3, 0, memoryview(STATES.new().SerializeToString()))
-    for views in ([act] * 3, [state] * 4):
-        with pytest.raises(DamagedFile, match="holds"):
+    told = MessageView(4, 0, memoryview(FACTORS.new(json="{}").SerializeToString()))
+    for views, said in (([act] * 3, "action 1"), ([state] * 4, "more than the 3"), ([told] * 2, "the factors twice")):
+        with pytest.raises(DamagedFile, match=f"holds {said}"):
             decode_states(views, spec, 3)
 
 

@@ -16,6 +16,7 @@ from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import FolderLock
 from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.staging import staged
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.versions import with_earlier
 
@@ -231,6 +232,17 @@ def test_a_file_gets_its_name_after_its_bytes_are_safe(tmp_path: Path, monkeypat
         file.write(b"bytes")
         assert not (tmp_path / "x").exists()
     assert happened == ["file", "rename", "folder"]
+
+
+def test_a_folder_gets_its_name_after_its_files_are_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(Path(f"/proc/self/fd/{handle}").resolve().name))
+    with staged(tmp_path / "out", ".exporting") as folder:
+        (folder / "meta").mkdir()
+        (folder / "meta" / "info.json").write_text("{}")
+    assert set(synced) == {"content", "meta", "info.json", tmp_path.name}
+    assert synced[-1] == tmp_path.name  # the folder's own name
+    assert (tmp_path / "out" / "meta" / "info.json").read_text() == "{}"
 
 
 def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -183,6 +184,16 @@ def test_the_original_of_an_earlier_repair_is_not_overwritten(tmp_path: Path) ->
     with pytest.raises(DatasetCorrupt, match="damaged/d"):
         repair_dataset(path)
     assert files_of(path) == before
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_what_is_no_file_is_neither_read_nor_waited_for(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    path = write_noise(tmp_path / "d").path
+    (path / "video" / "shard-00001.mcap").unlink()
+    make(path / "video" / "shard-00001.mcap")
+    done = repair_dataset(path).salvaged
+    assert done is not None
+    assert done.lost == (3, 4, 5)
 
 
 def test_where_nothing_can_be_read_nothing_is_touched(tmp_path: Path) -> None:

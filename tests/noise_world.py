@@ -76,16 +76,20 @@ def noise_lengths(episodes: int) -> list[int]:
     return [2 + (7 * episode) % 5 for episode in range(episodes)]
 
 
-def write_noise(path: Path, episodes: int = 7, shard_episodes: int = 3, spec: EnvSpec | None = None) -> Dataset:
+def write_noise(
+    path: Path,
+    episodes: int = 7,
+    shard_episodes: int = 3,
+    spec: EnvSpec | None = None,
+    lengths: list[int] | None = None,
+) -> Dataset:
     """A complete data set of noise."""
-    spec = spec or noise_spec()
-    recipe = DatasetRecipe(
-        environment="noise", episodes=episodes, frames=max(noise_lengths(episodes)), shard_episodes=shard_episodes
-    )
+    spec, lengths = spec or noise_spec(), lengths or noise_lengths(episodes)
+    recipe = DatasetRecipe(environment="noise", episodes=episodes, frames=max(lengths), shard_episodes=shard_episodes)
     with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
         for index in writer.missing:
             members = writer.episodes_of(index)
-            writer.write_shard(index, (noise_episode(one, noise_lengths(episodes)[one], spec) for one in members))
+            writer.write_shard(index, (noise_episode(one, lengths[one], spec) for one in members))
         writer.finish()
     return Dataset.open(path)
 

@@ -208,7 +208,7 @@ def _content_damages(
     """What is wrong with a shard whose hashes are right: the writer's fault, or a forged dataset.json."""
     name = f"{VIDEO}/{shard_path(path, VIDEO, index).name}"
     try:
-        receipt = scan_shard(path, manifest.spec, index)
+        receipt = scan_shard(path, manifest.spec, index, labelled=entry.labels is not None)
     except DamagedFile as damage:
         yield Damage(file=name, shard=index, what=str(damage))
         return

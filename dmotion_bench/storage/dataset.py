@@ -277,7 +277,7 @@ class Dataset:
         try:
             return read_tasks(self.path, self.manifest, self.lengths)
         except DamagedFile as damage:
-            raise corrupt(self.path, self.path / TASKS, damage) from None
+            raise corrupt(self.where, self.path / TASKS, damage) from None
 
     def cache(self) -> FrameCache:
         """All frames, memory-mapped; made on first use, and when the data set has changed or the cache is damaged.

@@ -24,6 +24,7 @@ LONGEST_TEXT: Final = 4096
 LARGEST_SIDE: Final = 4096  # [px]
 LARGEST_FILE: Final = 2**50  # [bytes]
 LARGEST_MANIFEST: Final = 32 * 2**20  # bytes of a dataset.json that are read
+SHARD_ENTRY: Final = 350  # bytes that dataset.json takes for a shard, with files below a terabyte
 LAST_NS: Final = 2**63 - 1  # of a clock that counts nanoseconds in 64 bits
 INDEX_BYTES: Final = 16
 """A frame has an entry of this size in the message index of its video file, however well its pixels are compressed."""

@@ -29,9 +29,9 @@ from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe, EnvSpec, Objec
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import parse_json, read_json
-from dmotion_bench.storage.limits import LARGEST_MANIFEST
+from dmotion_bench.storage.limits import LARGEST_MANIFEST, SHARD_ENTRY
 from dmotion_bench.storage.manifest_check import check_episode_size, check_manifest, check_recipe, check_spec
-from dmotion_bench.storage.shard import FileFacts
+from dmotion_bench.storage.shard import FileFacts, shard_count
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST
 
@@ -133,6 +133,7 @@ class Manifest:
         try:
             check_manifest(self, TABLES)
             check_episode_size(self.recipe, self.spec)
+            self._check_size()
         except ValueError as error:
             raise InvalidSetting(f"there can be no such data set: {error}.") from None
 
@@ -143,8 +144,23 @@ class Manifest:
             InvalidSetting: There can be no such data set; nothing is written.
         """
         self.require_possible()
-        content = json.dumps(self.to_json(), indent=2) + "\n"
-        write_atomically(dataset / DATASET_MANIFEST, content.encode(), make_folders=False)
+        write_atomically(dataset / DATASET_MANIFEST, self._written(), make_folders=False)
+
+    def _written(self) -> bytes:
+        return (json.dumps(self.to_json(), indent=2) + "\n").encode()
+
+    def _check_size(self) -> None:
+        """See that the file can be read again when all shards are listed.
+
+        Raises:
+            ValueError: It cannot.
+        """
+        lacking = shard_count(self.recipe) - len(self.shards)
+        if len(self._written()) + lacking * SHARD_ENTRY > LARGEST_MANIFEST:
+            raise ValueError(
+                f"its {DATASET_MANIFEST} would be larger than {LARGEST_MANIFEST:,} bytes, with "
+                f"{shard_count(self.recipe):,} shards and {len(self.recipe.parameters):,} parameters"
+            )
 
     @classmethod
     def read(cls, dataset: Path) -> Manifest:

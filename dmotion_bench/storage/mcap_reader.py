@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import io
 import os
+import stat
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
@@ -75,7 +76,7 @@ def read_messages(path: Path, span: Span, *, chunk_limit: int, room: Room | None
         room: Where chunks are unpacked; a message is then gone once that of the next chunk is asked for. None takes
             new memory for each.
     """
-    with path.open("rb") as file:
+    with _opened(path) as file:
         size = os.fstat(file.fileno()).st_size
         end = span.offset + span.size
         if span.offset < 0 or span.size < 0 or end > size:
@@ -95,6 +96,13 @@ def read_messages(path: Path, span: Span, *, chunk_limit: int, room: Room | None
             else:
                 raise DamagedFile(f"holds a record of kind {opcode} at byte {position}, where a chunk was expected")
             position += RECORD_HEAD.size + length
+
+
+def _opened(path: Path) -> BinaryIO:
+    """The file, open; a pipe in its place would be waited for."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise DamagedFile("is no ordinary file")
+    return path.open("rb")
 
 
 def _head(data: bytes) -> tuple[int, int]:
@@ -173,7 +181,7 @@ def list_sections(path: Path, *, most: int, salvage: bool = False) -> list[Secti
         salvage: Stop at the first thing that is wrong, with what came before it, instead of raising.
     """
     found: list[Section] = []
-    with path.open("rb") as file:
+    with _opened(path) as file:
         try:
             for section in _sections(file, most):
                 if section.span.size == 0:

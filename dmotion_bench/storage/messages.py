@@ -269,7 +269,7 @@ def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -
     """The labels of an episode of so many frames."""
     actions, pushed = _ActionsDecoder(spec.actions, frames), np.empty(max(frames - 1, 0), np.bool_)
     agent, objects = _StatesDecoder(spec.agents, frames), _StatesDecoder(spec.objects, frames)
-    factors: dict[str, Scalar] = {}
+    factors: dict[str, Scalar] | None = None
     for view in messages:
         topic = LABEL_CHANNELS[view.channel - 1][0] if 1 <= view.channel <= len(LABEL_CHANNELS) else ""
         if topic == ACTION_TOPIC:
@@ -280,13 +280,19 @@ def decode_states(messages: Iterable[MessageView], spec: EnvSpec, frames: int) -
         elif topic == OBJECTS_TOPIC:
             objects.decode(view)
         elif topic == FACTORS_TOPIC:
+            if factors is not None:  # a small file could hold a million of them
+                raise DamagedFile("holds the factors twice")
             factors = _factors(_parse(FACTORS.new(), view, view.channel, _FACTORS_LARGEST).json)
         else:
             raise DamagedFile(f"holds a message of channel {view.channel} among the states")
     if agent.count != frames or objects.count != frames or actions.count != len(pushed):
         raise DamagedFile(f"holds {agent.count} states and {actions.count} actions of an episode of {frames} frames")
     return StateLabels(
-        actions=actions.array(), pushed=pushed, agent=agent.states(), objects=objects.states(), factors=factors
+        actions=actions.array(),
+        pushed=pushed,
+        agent=agent.states(),
+        objects=objects.states(),
+        factors=factors or {},
     )
 
 

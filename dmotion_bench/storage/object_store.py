@@ -224,7 +224,7 @@ class ObjectStore:
             self.requests += 1
             try:
                 return work()
-            except (*_NO_HELP, PackageNotInstalled, PlaceUnreachable) as error:
+            except (*_NO_HELP, DmbenchError) as error:  # ours: no space on this machine, a package that is not there
                 if isinstance(error, PermissionError):
                     raise self._unreachable(name, "is not allowed", error) from error
                 raise

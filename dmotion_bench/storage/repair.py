@@ -65,7 +65,10 @@ def rebuild_tables(path: Path, manifest: Manifest) -> None:
     Raises:
         DamagedFile: A shard is not.
     """
-    receipts = [scan_shard(path, manifest.spec, index) for index in range(len(manifest.shards))]
+    receipts = [
+        scan_shard(path, manifest.spec, index, labelled=entry.labels is not None)
+        for index, entry in enumerate(manifest.shards)
+    ]
     with DatasetWriter(path, manifest.recipe, manifest.spec, receipts, FolderLock(path)) as writer:
         writer.finish(salvaged=manifest.salvaged, made_with=manifest.versions, replay=manifest.replay)
 
@@ -109,7 +112,11 @@ def salvage(path: Path) -> Salvaged:
             writer.finish(salvaged=True, made_with={**manifest.versions, **packed})
         original.parent.mkdir(exist_ok=True)
         path.rename(original)
-        unfinished.rename(path)
+        try:
+            unfinished.rename(path)
+        except BaseException:
+            original.rename(path)
+            raise
         with contextlib.suppress(OSError):  # not empty: another data set is being repaired
             unfinished.parent.rmdir()
     numbers = {listed[place].episode for place in kept}
@@ -125,6 +132,7 @@ def _listed_episodes(path: Path, manifest: Manifest) -> Iterator[EpisodeRow]:
     try:
         yield from read_episodes(path, manifest)
     except DamagedFile:
+        missing = set(range(manifest.recipe.episodes))
         for index in range(len(manifest.shards)):
             labels = {
                 (one.kind, one.values.get("episode")): one.span for one in _sections(shard_path(path, LABELS, index))
@@ -132,6 +140,9 @@ def _listed_episodes(path: Path, manifest: Manifest) -> Iterator[EpisodeRow]:
             for section in _sections(shard_path(path, VIDEO, index)):
                 with contextlib.suppress(DamagedFile):
                     row = episode_row(section, index, manifest.spec)
+                    if row.episode not in missing:
+                        continue  # a copy of another shard stands in this one's place
+                    missing.remove(row.episode)
                     number = section.values["episode"]
                     states, masks = (labels.get((name, number), row.states) for name in ("states", "masks"))
                     yield dataclasses.replace(row, states=states, masks=masks)

@@ -250,15 +250,21 @@ def _possible_tasks(
     return candidates(labels.objects.position, labels.pushed, spec.push_threshold, delay=delay)
 
 
-def scan_shard(dataset: Path, spec: EnvSpec, index: int) -> ShardReceipt:
+def scan_shard(dataset: Path, spec: EnvSpec, index: int, *, labelled: bool = True) -> ShardReceipt:
     """The receipt of an existing shard, read from its files.
+
+    Args:
+        dataset: The data set's folder.
+        spec: The data set's.
+        index: The shard's number.
+        labelled: Whether its labels are read, if they are there; False where ``dataset.json`` knows of none.
 
     Raises:
         DamagedFile: The files are not whole or do not belong together.
     """
     video_path, labels_path = (shard_path(dataset, kind, index) for kind in (VIDEO, LABELS))
     videos = list_sections(video_path, most=MOST_SHARD_EPISODES)
-    has_labels = labels_path.is_file()
+    has_labels = labelled and labels_path.is_file()
     sections = list_sections(labels_path, most=2 * MOST_SHARD_EPISODES) if has_labels else []
     states = {one.values.get("episode"): one for one in sections if one.kind == "states"}
     masks = {one.values.get("episode"): one for one in sections if one.kind == "masks"}

@@ -8,13 +8,14 @@ still filling; only the former is deleted, by the next that wants the name.
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import StorageFull, UsageError
-from dmotion_bench.storage.atomic import FULL
+from dmotion_bench.storage.atomic import FULL, sync_folder
 from dmotion_bench.storage.lock import ANOTHER_FOLDER, FolderLock, lock_beside
 
 MARKER: Final = "unfinished.txt"
@@ -45,10 +46,12 @@ def staged(out: Path, suffix: str, *, keep: bool = False) -> Iterator[Path]:
         content = outer / CONTENT
         content.mkdir(exist_ok=keep)
         yield content
+        _sync(content)
         if out.exists():
             out.rmdir()
         content.rename(out)
         whole = True
+        sync_folder(out.parent)
     except (StorageFull, OSError) as error:
         if isinstance(error, OSError) and error.errno not in FULL:
             raise
@@ -61,6 +64,16 @@ def staged(out: Path, suffix: str, *, keep: bool = False) -> Iterator[Path]:
         if whole or not keep:
             _delete(outer)
         lock.release()
+
+
+def _sync(folder: Path) -> None:
+    """Bring all that stands in a folder to the disk, so that a power cut finds it under the folder's later name."""
+    for path in (folder, *folder.rglob("*")):
+        if path.is_dir():
+            sync_folder(path)
+        elif path.is_file():
+            with path.open("r+b") as file:  # Windows syncs no file that is open for reading
+                os.fsync(file.fileno())
 
 
 def sweep(out: Path, suffix: str) -> None:

@@ -171,7 +171,8 @@ def _check_episodes(columns: Columns, manifest: Manifest) -> None:
     _refuse((frames < 1) | (frames > recipe.frames), f"has another number of frames than 1 to {recipe.frames:,}")
     _refuse(frames > most_frames(spec), f"has too many frames; {longest_episode(spec)}")
     starts = columns["start_ns"]
-    _refuse((starts < 0) | (starts > LAST_NS - frames * spec.step_ns), "starts at no time that a time stamp can say")
+    last = (LAST_NS - np.maximum(starts, 0)) // spec.step_ns  # a product of both might not fit in 64 bits
+    _refuse((starts < 0) | (frames > last), "starts at no time that a time stamp can say")
     _refuse(columns["seed"] < 0, "has a negative seed")
     if _SOURCE in columns:
         source = columns[_SOURCE]

@@ -82,7 +82,7 @@ class DatasetWriter:
             packages: Whose versions also stand in ``dataset.json``.
 
         Raises:
-            RecipeMismatch: What stands there was made by another recipe, or is larger.
+            RecipeMismatch: What stands there was made by another recipe, or is larger, or has more control tasks.
             InvalidSetting: There can be no such data set.
             UsageError: The folder holds something else.
         """
@@ -102,7 +102,7 @@ class DatasetWriter:
             if existing:
                 standing = Manifest.read(path)
                 check_recipe(standing, recipe, spec, path)
-                receipts = list(_standing_shards(path, recipe, spec))
+                receipts = list(_standing_shards(path, recipe, spec, standing))
             _remove_leftovers(path)
             writer = cls(path, recipe, spec, receipts, lock, packages)
             writer._begun_here = not existing
@@ -320,10 +320,15 @@ def check_recipe(
             f"{str(path)!r} is a data set of {standing.recipe.episodes} episodes, more than the {recipe.episodes} "
             f"asked for; for a smaller one {elsewhere}."
         )
+    if standing.recipe.tasks > recipe.tasks:
+        raise RecipeMismatch(
+            f"{str(path)!r} was recorded with '--tasks {standing.recipe.tasks}', more than the {recipe.tasks} asked "
+            f"for; give this option again to keep its control tasks, or {elsewhere}."
+        )
 
 
-def _standing_shards(path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> Iterator[ShardReceipt]:
-    """The complete shards in the folder that hold all episodes of the recipe's shards."""
+def _standing_shards(path: Path, recipe: DatasetRecipe, spec: EnvSpec, standing: Manifest) -> Iterator[ShardReceipt]:
+    """The complete shards in the folder that hold all episodes of the recipe's shards, as they were recorded."""
     for index in range(shard_count(recipe)):
         if not shard_path(path, VIDEO, index).is_file():
             continue
@@ -331,6 +336,9 @@ def _standing_shards(path: Path, recipe: DatasetRecipe, spec: EnvSpec) -> Iterat
             receipt = scan_shard(path, spec, index)
         except DamagedFile:
             continue  # written anew
+        stated = standing.shards[index] if index < len(standing.shards) else None
+        if stated is not None and (receipt.video, receipt.labels) != (stated.video, stated.labels):
+            continue  # damaged since, or a part of the shard
         labelled = receipt.labels is not None or recipe.environment == IMPORTED
         if labelled and [row.episode for row in receipt.rows] == list(shard_range(recipe, index)):
             yield receipt

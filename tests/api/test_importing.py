@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
@@ -103,6 +104,12 @@ def test_every_name_that_is_offered_is_there() -> None:
         assert getattr(dm, name) is not None
     with pytest.raises(AttributeError, match="no attribute 'trian'"):
         dm.trian  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_every_name_that_is_offered_is_in_the_reference() -> None:
+    pages = "".join(page.read_text() for page in (ROOT / "docs" / "api").glob("*.md"))
+    named = set(re.findall(r"^::: dmotion_bench\.[\w.]*\.(\w+)$", pages, re.MULTILINE))
+    assert set(dm.__all__) - {"DmbenchError", "__version__"} <= named  # errors stand on a page of their own
 
 
 @pytest.mark.parametrize("name", WITH_EXAMPLES)

@@ -90,6 +90,15 @@ def test_fewer_tasks_than_asked_for_are_said(run: Run, tmp_path: Path) -> None:
     assert f"{stored} control tasks of the 100000 asked for" in outcome.out
 
 
+def test_a_recording_that_is_repeated_takes_no_control_tasks_away(run: Run, tmp_path: Path) -> None:
+    run("record", "grid_world", "--preset", "tiny", "--tasks", "2")
+    before = files_of(tmp_path / "data")
+    outcome = run("record", "grid_world", "--preset", "tiny")
+    assert outcome.code == 1
+    assert "was recorded with '--tasks 2', more than the 0 asked for; give this option again" in outcome.sentence()
+    assert files_of(tmp_path / "data") == before
+
+
 def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) -> None:
     run("record", "grid_world", "--preset", "tiny")
     before = files_of(tmp_path / "data")

@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from noise_world import assert_same_episode, files_of, noise_episode, noise_lengths, write_noise
+from noise_world import assert_same_episode, files_of, noise_episode, noise_lengths, noise_spec, write_noise
 
 from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch
 from dmotion_bench.recording.restore import repair_dataset
-from dmotion_bench.specs import SplitName
+from dmotion_bench.specs import DatasetRecipe, SplitName
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.repair import salvage
+from dmotion_bench.storage.shard import Footage
 from dmotion_bench.storage.split import split_episodes
 from dmotion_bench.storage.writer import DatasetWriter
 
@@ -114,6 +116,57 @@ def test_without_labels_the_video_is_salvaged(tmp_path: Path) -> None:
     assert len(Dataset.open(path)) >= 4
 
 
+def write_video(path: Path, lengths: Sequence[int] = (2, 4, 6, 3)) -> Dataset:
+    """A data set of noise without labels, two episodes a shard."""
+    spec = noise_spec()
+    recipe = DatasetRecipe(environment="imported", episodes=len(lengths), frames=max(lengths), shard_episodes=2)
+    with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
+        for index in writer.missing:
+            numbers = writer.episodes_of(index)
+            writer.write_shard(index, (Footage(frames=noise_episode(n, lengths[n], spec).frames) for n in numbers))
+        writer.finish()
+    return Dataset.open(path)
+
+
+def test_a_shard_in_anothers_place_is_salvaged_once(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "d").path
+    shutil.copy(path / "video" / "shard-00000.mcap", path / "video" / "shard-00001.mcap")
+    (path / "episodes.parquet").unlink()
+    done = salvage(path)
+    assert (done.kept, done.lost) == ((0, 1), (2, 3))
+    assert Dataset.open(path).lengths.tolist() == [2, 4]
+
+
+def test_labels_of_another_data_set_are_not_taken_over(tmp_path: Path) -> None:
+    path = write_video(tmp_path / "d").path
+    shutil.copytree(write_noise(tmp_path / "labelled", shard_episodes=2).path / "labels", path / "labels")
+    assert check_dataset(path).damages == ()
+    before = files_of(path)
+    (path / "episodes.parquet").unlink()
+    assert repair_dataset(path).how == "restored"
+    assert files_of(path) == before
+
+
+def test_a_salvage_that_is_interrupted_at_its_end_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = write_noise(tmp_path / "d").path
+    (path / "video" / "shard-00001.mcap").unlink()
+    before, rename = files_of(path), Path.rename
+
+    def interrupted(self: Path, target: Path) -> Path:
+        if self.parent.name == "repairing":
+            raise KeyboardInterrupt
+        return rename(self, target)
+
+    monkeypatch.setattr(Path, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        salvage(path)
+    assert files_of(path) == before
+    monkeypatch.undo()
+    assert salvage(path).lost == (3, 4, 5)
+
+
 def test_a_salvaged_data_set_is_not_extended(tmp_path: Path) -> None:
     path = write_noise(tmp_path / "d").path
     (path / "video" / "shard-00001.mcap").unlink()
@@ -131,6 +184,16 @@ def test_the_original_of_an_earlier_repair_is_not_overwritten(tmp_path: Path) ->
     with pytest.raises(DatasetCorrupt, match="damaged/d"):
         repair_dataset(path)
     assert files_of(path) == before
+
+
+@pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])
+def test_what_is_no_file_is_neither_read_nor_waited_for(tmp_path: Path, make: Callable[[Path], None]) -> None:
+    path = write_noise(tmp_path / "d").path
+    (path / "video" / "shard-00001.mcap").unlink()
+    make(path / "video" / "shard-00001.mcap")
+    done = repair_dataset(path).salvaged
+    assert done is not None
+    assert done.lost == (3, 4, 5)
 
 
 def test_where_nothing_can_be_read_nothing_is_touched(tmp_path: Path) -> None:

@@ -25,7 +25,7 @@ from dmotion_bench.storage.limits import most_frames
 from dmotion_bench.storage.mcap_reader import DamagedFile, MessageView
 from dmotion_bench.storage.messages import decode_states, encode_states
 from dmotion_bench.storage.parquet_pages import list_pages
-from dmotion_bench.storage.schema import ACTION, STATES
+from dmotion_bench.storage.schema import ACTION, FACTORS, STATES
 from dmotion_bench.storage.shard import shard_path
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
@@ -238,6 +238,14 @@ def test_a_row_that_cannot_be_is_refused(path: Path, column: str, row: int, valu
     refused(path, "episodes.parquet' is damaged")
 
 
+def test_a_time_that_exceeds_64_bits_is_refused(tmp_path: Path) -> None:
+    """Four frames that are 2**62 ns apart last 2**64 ns, which 64 bits take for none."""
+    path = write_noise(tmp_path / "d", episodes=1, lengths=[4]).path
+    change_manifest(path, lambda content: content["recipe"].update(environment="imported"))
+    change_manifest(path, lambda content: content["environment"].update(step_ns=2**62))
+    refused(path, "starts at no time that a time stamp can say")
+
+
 def test_spans_of_labels_that_do_not_exist_are_refused(path: Path) -> None:
     def unlabelled(content: Content) -> None:
         for shard in content["shards"]:
@@ -330,6 +338,12 @@ def test_a_recording_that_could_not_be_read_is_not_begun(tmp_path: Path) -> None
         assert not (tmp_path / "d" / DATASET_MANIFEST).exists()
 
 
+def test_a_data_set_that_lists_more_shards_than_are_read_is_not_begun(tmp_path: Path) -> None:
+    many = DatasetRecipe(environment="noise", episodes=100_000, frames=3, shard_episodes=1)
+    with pytest.raises(InvalidSetting, match=r"its dataset.json would be larger than .* with 100,000 shards"):
+        DatasetWriter.create_or_resume(tmp_path / "d", many, noise_spec())
+
+
 def test_an_episode_of_the_largest_size_takes_half_a_gigabyte() -> None:
     spec = noise_spec(128, 128, objects=4)
     assert most_frames(spec) * (128 * 128 * 4 + 5 * 80) <= 512 * 2**20 < (most_frames(spec) + 1) * (128 * 128 * 4 + 400)
@@ -364,8 +378,9 @@ def test_more_messages_than_frames_are_damage() -> None:
     spec = noise_spec(objects=0)
     act = MessageView(1, 0, memoryview(ACTION.new(action=1).SerializeToString()))
     state = MessageView(3, 0, memoryview(STATES.new().SerializeToString()))
-    for views in ([act] * 3, [state] * 4):
-        with pytest.raises(DamagedFile, match="holds"):
+    told = MessageView(4, 0, memoryview(FACTORS.new(json="{}").SerializeToString()))
+    for views, said in (([act] * 3, "action 1"), ([state] * 4, "more than the 3"), ([told] * 2, "the factors twice")):
+        with pytest.raises(DamagedFile, match=f"holds {said}"):
             decode_states(views, spec, 3)
 
 

@@ -233,6 +233,20 @@ def test_a_data_set_is_no_place_for_its_export(source: Dataset) -> None:
     assert not (source.path / "out.exporting").exists()
 
 
+@pytest.mark.parametrize("step_ns", [1_000, 3_000_000_000_000])
+def test_a_rate_that_no_video_has_is_refused(tmp_path: Path, step_ns: int) -> None:
+    dataset = write_noise(tmp_path / "d", episodes=1, spec=replace(noise_spec(8, 8), step_ns=step_ns))
+    with pytest.raises(UsageError, match=r"a video cannot hold a frame every .* s; it can be one every 0.0001 s to "):
+        export_lerobot(dataset, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("step_ns", [100_000, 1_000_000_000_000])
+def test_the_extreme_rates_of_videos_lose_nothing(tmp_path: Path, step_ns: int) -> None:
+    dataset = write_noise(tmp_path / "d", episodes=2, spec=replace(noise_spec(8, 8), step_ns=step_ns))
+    assert export_lerobot(dataset, tmp_path / "out", labels=False).mse == 0
+
+
 def test_a_folder_that_is_there_is_not_touched(source: Dataset, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="is there already; name another folder"):
         export_lerobot(source, tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import pickle
 import shutil
 import threading
@@ -21,6 +22,7 @@ from dmotion_bench.errors import (
     LabelsNotAvailable,
     PackageNotInstalled,
     PlaceUnreachable,
+    StorageFull,
     UsageError,
 )
 from dmotion_bench.recording.restore import repair_dataset
@@ -284,6 +286,25 @@ def test_what_cannot_help_is_not_asked_for_again(storage, monkeypatch) -> None:
     monkeypatch.setenv("AWS_CONFIG_FILE", "/nowhere")
     with pytest.raises((PlaceUnreachable, DatasetMissing)):
         Dataset.open(f"{storage.address}/noise")
+
+
+def test_a_full_disk_is_no_fault_of_the_storage(remote, storage, monkeypatch) -> None:
+    def full(_file: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    storage.seen.clear()
+    with pytest.raises(StorageFull, match="no space left on the device while writing"):
+        remote.video(0)
+    assert storage.count("GET", ".mcap") == 1
+    assert not copies(remote)
+
+
+def test_a_copied_table_that_cannot_be_read_is_to_be_deleted(remote) -> None:
+    (remote.path / "tasks.parquet").write_bytes(b"x")
+    with pytest.raises(DatasetCorrupt, match=r"the copy of a file of 's3://.*', is damaged: .* Delete it, and it is"):
+        remote.tasks()
+    assert Dataset.open(remote.where).tasks() == []
 
 
 @pytest.mark.slow

@@ -16,6 +16,7 @@ from dmotion_bench.storage.atomic import atomic_file
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import FolderLock
 from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.staging import staged
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.versions import with_earlier
 
@@ -54,6 +55,18 @@ def test_extending_keeps_full_shards_and_gives_what_recording_at_once_gives(tmp_
             assert after[f"{kind}/shard-0000{index}.mcap"] == before[f"{kind}/shard-0000{index}.mcap"]
     write_noise(tmp_path / "at once", episodes=11)
     assert after == files_of(tmp_path / "at once")
+
+
+@pytest.mark.parametrize("kind", ["video", "labels"])
+def test_a_shard_that_was_damaged_is_written_anew_when_a_data_set_is_extended(tmp_path: Path, kind: str) -> None:
+    """Else the hash of the damaged file would become the one that is stated."""
+    path = write_noise(tmp_path / "d", episodes=6).path
+    damaged = path / kind / "shard-00000.mcap"
+    content = bytearray(damaged.read_bytes())
+    content[len(content) * 2 // 5] ^= 0x10
+    damaged.write_bytes(content)
+    write_noise(path, episodes=9)
+    assert files_of(path) == files_of(write_noise(tmp_path / "at once", episodes=9).path)
 
 
 def test_what_goes_on_with_other_packages_names_those_of_before_too(
@@ -219,6 +232,17 @@ def test_a_file_gets_its_name_after_its_bytes_are_safe(tmp_path: Path, monkeypat
         file.write(b"bytes")
         assert not (tmp_path / "x").exists()
     assert happened == ["file", "rename", "folder"]
+
+
+def test_a_folder_gets_its_name_after_its_files_are_safe(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    synced: list[str] = []
+    monkeypatch.setattr(os, "fsync", lambda handle: synced.append(Path(f"/proc/self/fd/{handle}").resolve().name))
+    with staged(tmp_path / "out", ".exporting") as folder:
+        (folder / "meta").mkdir()
+        (folder / "meta" / "info.json").write_text("{}")
+    assert set(synced) == {"content", "meta", "info.json", tmp_path.name}
+    assert synced[-1] == tmp_path.name  # the folder's own name
+    assert (tmp_path / "out" / "meta" / "info.json").read_text() == "{}"
 
 
 def test_an_error_while_writing_leaves_the_old_file(tmp_path: Path) -> None:

@@ -44,6 +44,7 @@ STATE: Final = "observation.state"
 UNFINISHED: Final = ".exporting"
 CHUNK_FILES: Final = 1000
 DATA_MIB, VIDEO_MIB = 100, 200
+_FASTEST_NS, _SLOWEST_NS = 100_000, 1_000_000_000_000  # between two frames of a video
 Progress = Callable[[str, int, int], None]
 
 
@@ -124,7 +125,7 @@ def export_lerobot(
         progress: Is told what is being done, how many episodes are done, and how many there are.
 
     Raises:
-        UsageError: The folder is there already, or the codec cannot take such frames.
+        UsageError: The folder is there already, or the codec cannot take such frames or such a rate.
         LabelsNotAvailable: Labels were asked for and are not there.
     """
     if out.exists():
@@ -134,6 +135,12 @@ def export_lerobot(
     if codec is not H264 and (dataset.spec.height % 2 or dataset.spec.width % 2):
         size = f"{dataset.spec.width}x{dataset.spec.height}"
         raise UsageError(f"{codec.name} needs even sizes, not {size}; use '--codec h264'.")
+    step_ns = dataset.spec.step_ns
+    if not _FASTEST_NS <= step_ns <= _SLOWEST_NS:
+        raise UsageError(
+            f"a video cannot hold a frame every {step_ns / 1e9:g} s; it can be one every {_FASTEST_NS / 1e9:g} s to "
+            f"{_SLOWEST_NS / 1e9:g} s."
+        )
     with staged(out, UNFINISHED) as folder:
         report = _Export(dataset, folder, codec, labels, progress).run()
     return ExportReport(path=out, labels=labels, codec=codec.name, **report)

@@ -58,12 +58,10 @@ class Rollouts(Search):
         """The costs of sequences and their parts, within ``dynamics.computing()``; gradients reach the actions."""
         dynamics = self._dynamics
         task, actions = task.to(dynamics.device), actions.to(dynamics.device)
-        first, *others = actions.unbind(1)
-        state, carried = branched(dynamics, self._start, task, first), tuple(one[task] for one in self._carried)
-        costs = []
-        for number, action in enumerate((first, *others)):
-            if number:
-                state = dynamics.step(state, action)
+        carried = tuple(one[task] for one in self._carried)
+        state, costs = self._start, list[Tensor]()
+        for number, action in enumerate(actions.unbind(1)):
+            state = dynamics.step(state, action) if number else branched(dynamics, state, task, action)
             cost, carried = self._evaluator.step(dynamics, state, task, action, carried)
             costs.append(cost.stacked())
         self.frames += actions.shape[0] * actions.shape[1]

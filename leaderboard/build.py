@@ -26,8 +26,8 @@ from dmotion_bench.scoring.transfer import fitting, transfer_folders
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import command, shown
+from leaderboard.action_texts import actions_of
 from leaderboard.comparison import as_in_an_entry, scored, sums_by_episode
-from leaderboard.control import actions_of
 from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
 from leaderboard.entry_file import read_entries, read_entry, remove_unused_references, write_entry
 from leaderboard.layout import ENTRIES, PAGE, REFERENCES, SCHEMA

@@ -11,7 +11,7 @@ References that take seconds are scored anew as a whole.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -22,7 +22,7 @@ from jaxtyping import UInt8
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.environment import HasScript
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.planning.agents import NO_ACTION, Agent, Decision, SimulatorAgent, known_actions
+from dmotion_bench.planning.agents import Agent, Decision, SimulatorAgent, known_actions
 from dmotion_bench.planning.columns import TASKS, is_test
 from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, ControlResult, ControlSettings, control
 from dmotion_bench.planning.objectives.base import Taken
@@ -34,19 +34,15 @@ from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.samples import column, vectors
 from dmotion_bench.scoring.standing import samples_of
 from dmotion_bench.storage.dataset import Dataset
+from leaderboard.action_texts import METRIC, are_kept, as_text, is_none, read_action
 from leaderboard.comparison import figures_by_samples
 from leaderboard.verdict import SHOWN, Findings, short
 
-METRIC: Final = "control"
-"""As settings name it; where pictures judge its samples have another name (``samples_of``)."""
 FIGURES: Final = "control_"
 """How the names of control's figures and settings begin."""
 
 PUBLISHED: Final = "paper"
 """The reference whose figures were printed elsewhere, so that nobody's actions led to them."""
-
-NOTHING: Final = "none"
-"""In place of a continuous action where none was taken."""
 
 MOST_STEPS: Final = 1000
 MOST_GROUP: Final = 64
@@ -54,44 +50,6 @@ MOST_PLANNED: Final = 10_000
 """Of samples, steps ahead and whatever else a planner counts: planning more anew would take a machine's memory."""
 ROUNDING: Final = 1e-4
 """Relative and absolute; between the distances of two simulations, kept as float32."""
-
-
-def actions_of(samples: pa.Table) -> dict[str, list[dict[str, Any]]]:
-    """The actions in each task as an entry holds them; quick references are left out, as they can be repeated."""
-    rows = samples_of(samples, (METRIC,))
-    planned = [name for name in np.unique(rows["predictor"].to_numpy(zero_copy_only=False)) if name not in QUICK]
-    return {name: list(_tasks(_of(rows, name, "predictor"))) for name in planned}
-
-
-def _tasks(rows: pa.Table) -> Iterator[dict[str, Any]]:
-    task, ahead, actions = column(rows, "task"), column(rows, "ahead"), vectors(rows, "command")
-    actions = column(rows, "action") if actions is None else actions
-    for number in np.unique(task).tolist():
-        mine = np.flatnonzero(task == number)
-        taken = actions[mine[np.argsort(ahead[mine])]][:-1]  # behind the last moment stands no action
-        yield {"task": int(number), "actions": " ".join(map(_text, taken))}
-
-
-def _text(action: Any) -> str:
-    """An action in an entry; numbers of continuous ones are as short as they can be and still read back bit for bit."""
-    if not np.ndim(action):
-        return str(int(action))
-    return NOTHING if np.isnan(action).any() else ",".join(repr(float(number)) for number in action)
-
-
-def _read(text: str, spec: ActionSpec) -> int | list[float] | None:
-    """The action that ``_text`` wrote; None if it is none of the environment's."""
-    if isinstance(spec, Discrete):
-        return int(text) if text.lstrip("-").isdigit() and -1 <= int(text) < len(spec) else None
-    if text == NOTHING:
-        return [float("nan")] * spec.width
-    numbers = [float(number) for number in text.split(",")]
-    return numbers if spec.fault(np.array([numbers])) is None else None
-
-
-def _is_none(action: int | list[float] | None) -> bool:
-    """Whether an action that was read says that none was taken."""
-    return action == NO_ACTION if isinstance(action, int) else action is not None and bool(np.isnan(action).any())
 
 
 def check_control(
@@ -129,7 +87,7 @@ def check_control(
     scoring = _scoring(check)
     if scoring is None:
         return
-    if isinstance(dataset.spec.actions, Continuous) and not _are_kept(content[METRIC]):
+    if isinstance(dataset.spec.actions, Continuous) and not are_kept(content[METRIC]):
         check.missing.append(
             "control: the entry was made before continuous actions were kept, so they cannot be repeated; score the "
             "run again with 'dmbench score' and build the entry anew"
@@ -228,11 +186,6 @@ def _are_settings(value: Any) -> bool:
     return isinstance(value, list) and all(isinstance(one, str) for one in value)
 
 
-def _are_kept(control: Mapping[str, Any]) -> bool:
-    """Whether an entry of continuous actions holds them; those of before say -1, as of no action, everywhere."""
-    return not control or any(one["actions"].strip("-1 ") for tasks in control.values() for one in tasks)
-
-
 def _actions(
     check: Findings, name: str, problems: Sequence[Problem], steps: int, spec: ActionSpec
 ) -> dict[int, Taken] | None:
@@ -241,8 +194,8 @@ def _actions(
     if list(said) != [problem.number for problem in problems]:
         check.wrong.append(f"control of {name}: the actions are those of other tasks than the first {len(problems)}")
         return None
-    actions = {task: [_read(one, spec) for one in taken] for task, taken in said.items()}
-    if name == MODEL and any(_is_none(one) for taken in actions.values() for one in taken):
+    actions = {task: [read_action(one, spec) for one in taken] for task, taken in said.items()}
+    if name == MODEL and any(is_none(one) for taken in actions.values() for one in taken):
         check.wrong.append(
             "control: a task of the model has a step without an action; a planner takes one at each step"
         )
@@ -358,7 +311,7 @@ class _Repeater(SimulatorAgent):
         for world, one, other in zip(worlds, taken, wanted.action, strict=True):
             self.asked += 1
             if not self._same(one, other):
-                said = f"{_text(one)}, and it plans {_text(other)}"
+                said = f"{as_text(one)}, and it plans {as_text(other)}"
                 self.otherwise.append(f"task {world.problem.number}, step {step}: {said}")
         return Decision(action=taken, plan=wanted.plan)
 

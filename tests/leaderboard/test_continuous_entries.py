@@ -25,9 +25,9 @@ from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
+from leaderboard.action_texts import actions_of, are_kept, as_text, read_action
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry
-from leaderboard.control import _are_kept, _read, _text, actions_of
 from leaderboard.entry import Entry
 from leaderboard.entry_file import read_entry, write_entry
 from leaderboard.pictures import from_png
@@ -88,7 +88,7 @@ def test_actions_survive_samples_and_entry_bit_for_bit(workspace: Workspace, tmp
     assert np.isnan(moments[:, 3]).all()
 
     told = [task["actions"].split() for task in actions_of(table)["oracle"]]
-    entered = [[_read(one, known_actions(dataset.spec)) for one in own] for own in told]
+    entered = [[read_action(one, known_actions(dataset.spec)) for one in own] for own in told]
     assert np.array(entered).tobytes() == result.actions.tobytes()
 
 
@@ -96,16 +96,16 @@ def test_actions_survive_samples_and_entry_bit_for_bit(workspace: Workspace, tmp
     "numbers", [(-0.0, 5e-324), (0.1 + 0.2, 1.7976931348623157e299), (1e-5, -1e300), (1.0, 123456789.0)]
 )
 def test_a_number_is_written_as_it_is_read(numbers: tuple[float, float]) -> None:
-    assert np.array(_read(_text(np.array(numbers)), MOVE)).tobytes() == np.array(numbers).tobytes()
+    assert np.array(read_action(as_text(np.array(numbers)), MOVE)).tobytes() == np.array(numbers).tobytes()
 
 
 def test_what_is_no_action_is_none() -> None:
     for text in ("0.5", "0.5,0.5,0.5", "2.0,0.0", "9e999,0.0", "-1"):
-        assert _read(text, MOVE) is None
-    assert np.isnan(_read("none", MOVE)).all()
-    assert _text(np.full(2, np.nan)) == "none"
-    assert not _are_kept({"model": [{"actions": "-1 -1"}]})
-    assert _are_kept({"model": [{"actions": "-1 -1"}, {"actions": "-1.0 1.0"}]})
+        assert read_action(text, MOVE) is None
+    assert np.isnan(read_action("none", MOVE)).all()
+    assert as_text(np.full(2, np.nan)) == "none"
+    assert not are_kept({"model": [{"actions": "-1 -1"}]})
+    assert are_kept({"model": [{"actions": "-1 -1"}, {"actions": "-1.0 1.0"}]})
 
 
 @pytest.mark.slow

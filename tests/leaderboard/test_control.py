@@ -26,9 +26,9 @@ from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
+from leaderboard.action_texts import actions_of
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry
-from leaderboard.control import actions_of
 from leaderboard.entry import Entry
 from recorders.grid_world import GridWorld
 

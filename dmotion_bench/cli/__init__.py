@@ -4,9 +4,11 @@ Every command lives in a file of its own; what it needs beyond the core's light 
 runs, so that ``dmbench --help`` loads no torch.
 """
 
+import atexit
 import contextlib
 import io
 import os
+import signal
 import sys
 
 from dmotion_bench.interrupts import INTERRUPTED, ended_like_ctrl_c, exit_code
@@ -36,6 +38,8 @@ def main() -> None:
         with contextlib.suppress(OSError):
             print(f"dmbench: {INTERRUPTED}", file=sys.stderr, flush=True)  # noqa: T201
         sys.exit(exit_code())
+    finally:  # all is done or told: while libraries tidy up, Ctrl-C could only show a traceback of theirs
+        atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
 
 
 def bound_waiting() -> None:

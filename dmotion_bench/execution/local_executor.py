@@ -9,7 +9,7 @@ import sys
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context, parent_process
+from multiprocessing import forkserver, get_context, parent_process, resource_tracker
 from multiprocessing.context import BaseContext
 from threading import Thread
 from typing import Final, cast
@@ -19,7 +19,7 @@ from dmotion_bench.execution.processes import end_with
 from dmotion_bench.interrupts import received
 
 BEGINNINGS: Final = "dmotion_bench.execution.beginnings"
-"""What the server of processes loads to say nothing of one that comes too late."""
+"""What the server of processes loads to leave Ctrl-C to the command, and to say nothing of one that comes too late."""
 
 
 class SerialExecutor:
@@ -104,9 +104,15 @@ def _context(function: Callable[[Job], Result]) -> BaseContext:
 def _start_server(_process: int) -> None:
     """Have the server of this process ready, once: its first process is asked for nothing.
 
-    A process that begins while the command ends misses the semaphores that it was given, and says so at length. This
-    one has none, and the server has loaded everything when the workers are asked for.
+    When it has ended, the server has loaded everything, and the workers begin at once. Until the server has loaded
+    ``beginnings``, Ctrl-C would be told there too: it is held back, and the server is started with it held back.
     """
+    resource_tracker.ensure_running()  # if the server started it, it would let Ctrl-C through again
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        forkserver.ensure_running()
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     first = get_context("forkserver").Process(target=_nothing)
     first.start()
     first.join()

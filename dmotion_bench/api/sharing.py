@@ -14,6 +14,7 @@ from dmotion_bench.errors import (
     DmbenchError,
     EntryInvalid,
     RunMissing,
+    ShareCorrupt,
     ShareMissing,
     UnknownName,
     UsageError,
@@ -166,9 +167,10 @@ def pull_entries(
         place, workspace, progress: As for ``share_pull``.
 
     Raises:
-        As ``share_pull``, but for what is missing.
+        As ``share_pull``, but for what is missing or damaged there, and for what cannot stand beside what is here.
     """
     missing = []
+    open_place(place)  # what is wrong with it is no entry's fault
     given = map(Path, listed(paths))
     for file in (file for path in given for file in (entry_files(path) if _holds_entries(path) else [path])):
         try:
@@ -178,7 +180,7 @@ def pull_entries(
             continue
         try:
             share_pull(file, place, workspace=workspace, progress=progress)
-        except ShareMissing as error:
+        except (ShareMissing, ShareCorrupt, UsageError) as error:
             missing.append(f"{file.name}: {error}")
     return missing
 

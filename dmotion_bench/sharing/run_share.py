@@ -19,7 +19,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from dmotion_bench.errors import RunMissing
+from dmotion_bench.errors import RunMissing, UsageError
+from dmotion_bench.learning.runs.checkpoint import LARGEST_WEIGHTS
 from dmotion_bench.learning.runs.manifest import LARGEST_RUN
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.columns import COLUMNS
@@ -41,7 +42,7 @@ METRICS: Final = "metrics.jsonl"
 _GIB: Final = 2**30
 _LARGEST: Final[Mapping[str, int]] = {
     RUN_MANIFEST: LARGEST_RUN,
-    WEIGHTS: 64 * _GIB,
+    WEIGHTS: LARGEST_WEIGHTS,
     METRICS: _GIB,
     REPORT_FILE: LARGEST,
     SAMPLES_FILE: 16 * _GIB,
@@ -153,6 +154,7 @@ def share_of(run: Run) -> RunShare:
     Raises:
         RunMissing: It is not trained to its end.
         RunCorrupt: Its weights are damaged.
+        UsageError: One of its files is a link, or lies behind one.
     """
     result: Mapping[str, Any] | None = run.result
     if result is None:
@@ -161,13 +163,21 @@ def share_of(run: Run) -> RunShare:
             "'dmbench train' command that began it."
         )
     run.weights()
+    home = run.path.resolve()
+    files = {path.relative_to(run.path): path for path in _files(run)}
+    for name, path in files.items():
+        if path.resolve() != home / name:
+            raise UsageError(
+                f"{shown(str(path))} leads out of the run's folder by a link, and what lies elsewhere is not published; "
+                "put the file itself there."
+            )
     return RunShare(
-        name=run.path.resolve().name,
+        name=home.name,
         weights=result["weights"],
         model=run.spec.model,
         dataset=run.spec.dataset,
         fingerprint=run.spec.fingerprint,
-        files={str(path.relative_to(run.path).as_posix()): file_facts(path) for path in _files(run)},
+        files={name.as_posix(): file_facts(path) for name, path in files.items()},
     )
 
 

@@ -114,3 +114,47 @@ def test_what_is_not_published_is_said_and_the_others_are_checked(
     assert sorted(line.split("  ")[0] for line in checked.out.splitlines() if line[0] != " ") == [
         "holds", "holds", "not checked",
     ]  # fmt: skip
+
+
+@pytest.mark.parametrize("trouble", ["another run's name", "damaged"])
+def test_what_cannot_be_fetched_ends_no_other_entrys_check(
+    workspace: Workspace,
+    outsider: Workspace,
+    sound: Entry,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    trouble: str,
+) -> None:
+    from dmotion_bench.scoring.references import published_results
+    from leaderboard.paper import label_count
+
+    place = tmp_path / "place"
+    dm.share_push([RUN, "grid_world-tiny"], place)
+    if trouble == "damaged":
+        next(path for path in place.rglob("files/*") if path.stat().st_size > 1000).write_bytes(b"of another length")
+    else:
+        (outsider.runs / RUN).mkdir(parents=True)
+    write_entry(sound, tmp_path / "entries")
+    row = published_results()[0]
+    write_entry(published_entry(row, label_count(row.environment, row.labels)), tmp_path / "entries")
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(outsider.root))
+    words = ["leaderboard", "check", "--quick", str(tmp_path / "entries"), "--from", str(place)]
+    checked = dmbench(words, capsys, monkeypatch)
+    assert checked.err.startswith(f"not fetched: {RUN}"), checked.err
+    assert sorted(line.split("  ")[0] for line in checked.out.splitlines() if line[0] != " ") == [
+        "holds", "not checked",
+    ]  # fmt: skip
+
+
+def test_a_place_that_is_none_ends_the_check(
+    outsider: Workspace,
+    sound: Entry,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    entry = write_entry(sound, tmp_path / "entries")
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(outsider.root))
+    words = ["leaderboard", "check", str(entry), "--from", "ftp://somewhere/else"]
+    assert "ftp" in dmbench(words, capsys, monkeypatch).sentence()

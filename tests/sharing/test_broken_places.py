@@ -288,6 +288,27 @@ def test_links_in_the_workspace_are_not_written_through(
     assert not (tmp_path / "anywhere").exists()
 
 
+@pytest.mark.parametrize("name", ["metrics.jsonl", "best.safetensors", "report"])
+def test_what_a_link_in_a_run_leads_to_is_not_published(
+    workspace: Workspace, folder: Published, tmp_path: Path, name: str
+) -> None:
+    """A run may come from somebody else, and name a file that only its reader can read."""
+    path = workspace.runs / "known" / name
+    path.rename(tmp_path / "secret")
+    path.symlink_to(tmp_path / "secret")
+    with pytest.raises(UsageError, match=rf"{name}.* leads out of the run's folder by a link"):
+        dm.share_push("known", folder.address)
+    assert folder.files() == {}
+
+
+def test_a_run_whose_folder_is_a_link_is_published(workspace: Workspace, folder: Published, tmp_path: Path) -> None:
+    """Its owner put it on another disk."""
+    (workspace.runs / "known").rename(tmp_path / "known")
+    (workspace.runs / "known").symlink_to(tmp_path / "known")
+    dm.share_push("known", folder.address)
+    assert len(folder.files()) > 2
+
+
 def test_what_does_not_fit_is_not_begun(
     workspace: Workspace, outsider: Workspace, folder: Published, monkeypatch: pytest.MonkeyPatch
 ) -> None:

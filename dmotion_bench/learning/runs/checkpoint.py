@@ -31,7 +31,7 @@ from dmotion_bench.wording import shown
 
 FACTS: Final = "dmbench"
 CHECKSUM: Final = "sha256"
-_LARGEST: Final = 2**34  # bytes of a file whose tensors are not known beforehand
+LARGEST_WEIGHTS: Final = 2**34  # bytes of a file whose tensors are not known beforehand
 LARGEST_FACTS: Final = 2**16  # characters
 _TOLD: Final = 3  # differences that a sentence names
 
@@ -197,8 +197,8 @@ def _header(opened: Any) -> dict[str, Form]:
 
 def _require_forms(path: Path, found: Forms, required: Forms | None, optional: Forms) -> None:
     if required is None:
-        if path.stat().st_size > _LARGEST:
-            raise damaged(path, f"cannot be read: it is larger than {_LARGEST:,} bytes")
+        if path.stat().st_size > LARGEST_WEIGHTS:
+            raise damaged(path, f"cannot be read: it is larger than {LARGEST_WEIGHTS:,} bytes")
         return
     known = {**optional, **required}
     wrong = [f"there is no {shown(name)}" for name in required if name not in found]

@@ -130,9 +130,14 @@ class Paintless(Slider):
 
 
 class Blind(Slider):
-    """Draws text alone."""
+    """Draws text alone, and has nothing to close."""
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["ansi"], "render_fps": 20}
+
+    def close(self) -> None:
+        """As one that closes a window that it has never opened."""
+        super().close()
+        raise AttributeError("'Blind' object has no attribute 'window'")
 
 
 class Keyed(Slider):

@@ -128,8 +128,8 @@ def executor_for(recipe: DatasetRecipe, folder: Path, name: str, workers: int | 
 
 def default_folder(recipe: DatasetRecipe, preset: Preset, workspace: Workspace) -> Path:
     """Where a recording goes if nobody names a folder: its name tells recordings under other conditions apart."""
-    name = re.sub(r"[^\w.-]+", "-", recipe.environment)
-    return workspace.data / f"{name}-{preset.value}{_suffix(recipe)}"
+    name = f"{recipe.environment}-{preset.value}{_suffix(recipe)}"
+    return workspace.data / re.sub(r"[^\w.-]+", "-", name)
 
 
 def _suffix(recipe: DatasetRecipe) -> str:

@@ -123,7 +123,14 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
 
 @group.command()
 def repair(
-    dataset: DatasetFolder = None,
+    dataset: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="[DIR]",
+            help="The data set, by path or name. Default: the only one of the workspace.",
+            show_default=False,
+        ),
+    ] = None,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes that record damaged files again.")] = 1,
     as_json: AsJson = False,
 ) -> None:

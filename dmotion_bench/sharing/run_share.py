@@ -168,8 +168,8 @@ def share_of(run: Run) -> RunShare:
     for name, path in files.items():
         if path.resolve() != home / name:
             raise UsageError(
-                f"{shown(str(path))} leads out of the run's folder by a link, and what lies elsewhere is not published; "
-                "put the file itself there."
+                f"{shown(str(path))} leads out of the run's folder by a link, and nothing that lies elsewhere is "
+                "published; put the file itself there."
             )
     return RunShare(
         name=home.name,

@@ -112,7 +112,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             with quiet():
                 actions = action_spec(self.name, self._inner)
         except BaseException:
-            self._inner.close()
+            self.close()
             raise
         fps = self._inner.metadata.get("render_fps")
         fps = float(fps) if isinstance(fps, Real) else 0.0

@@ -16,6 +16,7 @@ import pytest
 from dmbench_command import Outcome, dmbench, finish, start_dmbench
 from noise_world import files_of
 
+from dmotion_bench.sharing.place import plain_name
 from dmotion_bench.storage.dataset import Dataset
 
 Run = Callable[..., Outcome]
@@ -108,6 +109,15 @@ def test_another_recipe_is_refused_with_both_ways_out(run: Run, tmp_path: Path) 
     assert "--seed 0 --set version=2 --out" in outcome.err
     assert "'--out DIR'" in outcome.err
     assert files_of(tmp_path / "data") == before
+
+
+def test_ones_own_policy_gives_the_folder_a_name_that_can_be_shared(run: Run, tmp_path: Path) -> None:
+    words = ("record", "grid_world", "--preset", "tiny", "--episodes", "2", "--frames", "4", "--tasks", "0")
+    assert run(*words, "--policy", "own_policies:right").code == 0
+    (folder,) = (tmp_path / "data").iterdir()
+    assert folder.name == "grid_world-tiny-own_policies-right"
+    assert plain_name(folder.name)
+    assert run("share", "push", folder.name, "--to", str(tmp_path / "place")).code == 0
 
 
 def test_variation_has_a_folder_of_its_own_and_the_command_that_goes_on_says_it(run: Run, tmp_path: Path) -> None:

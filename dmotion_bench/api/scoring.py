@@ -79,8 +79,8 @@ def score(
             their defaults.
         objective, objective_settings: For control: likewise; None for the one that suits.
         column: In place of these a frozen planner of the table of control: ``"generic-risk"``,
-            ``"generic-belief"``, ``"generic"``, ``"paper"`` or ``"task-knowledge"``; with ``data``, whose
-            tasks the run must not know.
+            ``"generic-belief"``, ``"generic-wide"``, ``"generic"``, ``"paper"`` or ``"task-knowledge"``; with
+            ``data``, whose tasks the run must not know.
         data: Another data set of the same environment, or an import. Default: the one of the training.
         batch_size: Predictions computed at once.
         precision: ``"float32"`` or ``"bf16"``.

@@ -27,7 +27,7 @@ OBJECTIVES: Final = (
     "tracked-belief",
     "tracked-risk",
 )
-COLUMNS: Final = ("generic-risk", "generic-belief", "generic", "paper", "task-knowledge")
+COLUMNS: Final = ("generic-risk", "generic-belief", "generic-wide", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
 TABLES: Final = ("continuous", "control", "labels", "paper")

@@ -36,7 +36,7 @@ def reproduce(
             metavar=listed(TABLES),
             help="The table. paper: tables I and II of the DMotion paper. control: control by frozen planners on test "
             "tasks (protocols dmbench-2 to dmbench-4), and prediction. continuous: the same with continuous actions, "
-            "by the first of these planners. labels: figures by the number of labelled "
+            "by a planner for them (dmbench-5) and the first of these. labels: figures by the number of labelled "
             "transitions. A package of your own can add others.",
         ),
     ],

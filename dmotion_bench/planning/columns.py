@@ -1,4 +1,4 @@
-"""The columns of the table of control, and the tasks that it is about: the protocols ``dmbench-2`` to ``dmbench-4``.
+"""The columns of the table of control, and the tasks that it is about: the protocols ``dmbench-2`` to ``dmbench-5``.
 
 A column is a planner that is frozen: a solver and an objective, with every field that differs from its default. It was
 chosen on development tasks alone. The tasks of the table are those of a test data set, which is recorded with a seed of
@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final
 
+from dmotion_bench.actions import Discrete
 from dmotion_bench.environment import HasTestTasks
 from dmotion_bench.errors import DmbenchError, InvalidSetting, UnknownName
 from dmotion_bench.planning.choices import generic_objective, make_objective, make_solver
@@ -37,6 +38,9 @@ WITH_RISK: Final = "dmbench-3"
 
 WITH_BELIEF: Final = "dmbench-4"
 """The same again, and *generic-belief*."""
+
+FOR_CONTINUOUS: Final = "dmbench-5"
+"""The same again, and *generic-wide*, for continuous actions."""
 
 TASKS: Final = 100
 """Of a development or a test data set; an episode of its own for each, as far as there are enough."""
@@ -58,6 +62,7 @@ class Column:
             (``choices.generic_objective``).
         for_objects: Without a name: that objective's name where there are objects to find.
         protocol: Of reports whose control it planned.
+        continuous: Whether it is for continuous actions alone.
     """
 
     name: str
@@ -69,9 +74,19 @@ class Column:
     objective_set: tuple[str, ...] = ()
     for_objects: str = "tracked"
     protocol: str = PROTOCOL
+    continuous: bool = False
 
     def objective_for(self, spec: EnvSpec, *, needs_pixels: bool) -> str:
-        """The name of the objective for a model of this kind; arguments as in ``made``."""
+        """The name of the objective for a model of this kind; arguments as in ``made``.
+
+        Raises:
+            InvalidSetting: The column is not for such actions.
+        """
+        if self.continuous and isinstance(spec.actions, Discrete):
+            raise InvalidSetting(
+                f"the column {self.name!r} is for continuous actions, and those of {spec.id!r} are discrete here; use "
+                f"{HEADLINE.name!r}."
+            )
         return self.objective or generic_objective(spec, needs_pixels=needs_pixels, for_objects=self.for_objects)
 
     def made(self, spec: EnvSpec, *, needs_pixels: bool) -> tuple[Solver, Objective]:
@@ -80,6 +95,9 @@ class Column:
         Args:
             spec: The environment's facts.
             needs_pixels: The model's.
+
+        Raises:
+            InvalidSetting: The column is not for such actions.
         """
         objective = make_objective(self.objective_for(spec, needs_pixels=needs_pixels), self.objective_set)
         return make_solver(self.planner, self.planner_set), objective
@@ -108,6 +126,17 @@ COLUMNS: Final[Mapping[str, Column]] = MappingProxyType(
                 planner_set=("cost_at=last",),
                 for_objects="tracked-belief",
                 protocol=WITH_BELIEF,
+            ),
+            Column(
+                name="generic-wide",
+                title="Generic, wide",
+                meaning="For continuous actions: as with risk, but its first sequences reach their bounds, and look "
+                "ten steps ahead, each action held for two.",
+                planner="icem",
+                planner_set=("cost_at=last", "initial_std=1", "horizon=10", "hold=2", "samples=25"),
+                for_objects="tracked-risk",
+                protocol=FOR_CONTINUOUS,
+                continuous=True,
             ),
             Column(
                 name="generic",

@@ -34,7 +34,7 @@ TABLE: Final = Table(
     ),
     columns=(
         Column(name="prediction", metrics=("prediction", "gain")),
-        *(frozen_column(name, _OF.get(name, ())) for name in COLUMNS),
+        *(frozen_column(name, _OF.get(name, ())) for name, column in COLUMNS.items() if not column.continuous),
     ),
     preset=Preset.SMALL,
     seeds=tuple(range(TRAININGS)),

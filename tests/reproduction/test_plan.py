@@ -13,7 +13,15 @@ from small_tables import CONTROL, TABLE
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
-from dmotion_bench.planning.columns import COLUMNS, HEADLINE, TASKS, TEST, TRAININGS, settings_of, words_of_test
+from dmotion_bench.planning.columns import (
+    COLUMNS,
+    HEADLINE,
+    TASKS,
+    TEST,
+    TRAININGS,
+    settings_of,
+    words_of_test,
+)
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.reproduction.cost import control_places
 from dmotion_bench.reproduction.plan import Plan
@@ -86,7 +94,7 @@ def test_the_table_of_continuous_actions_has_the_protocols_test_tasks(tmp_path: 
     assert {(one.model, row.labels, one.request.seed) for one in plan.trainings for row in one.rows} == {
         (model, labels, seed) for model, labels in (("dmotion", "64"), ("ed-cnn", "100%")) for seed in range(TRAININGS)
     }
-    assert [one.column.frozen for one in plan.scorings if one.data] == [HEADLINE.name]
+    assert [one.column.frozen for one in plan.scorings if one.data] == ["generic-wide", HEADLINE.name]
 
 
 def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
@@ -100,7 +108,7 @@ def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
     }
     assert all(f"--out data/{name}" in TEST.words(name.removesuffix("-test")) for name in tests)
     frozen = {scoring.control.column for scoring in plan.scorings} - {None}
-    assert frozen == {*COLUMNS}
+    assert frozen == {name for name, column in COLUMNS.items() if not column.continuous}
     for scoring in plan.scorings:
         models, column = {one.model for one in scoring.trainings}, scoring.column
         assert (scoring.data is None) == (column.frozen is None)

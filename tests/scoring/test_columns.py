@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import InvalidSetting, RunMismatch, UnknownName, UsageError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning import columns
@@ -90,10 +91,21 @@ def test_columns_of_the_later_protocol_leave_those_of_the_earlier_as_they_were()
     assert {name: column.protocol for name, column in COLUMNS.items()} == {
         "generic-risk": "dmbench-3",
         "generic-belief": "dmbench-4",
+        "generic-wide": "dmbench-5",
         "generic": PROTOCOL,
         "paper": PROTOCOL,
         "task-knowledge": PROTOCOL,
     }
+
+
+def test_a_column_for_continuous_actions_refuses_discrete_ones(tasks: Dataset) -> None:
+    with pytest.raises(InvalidSetting, match=r"'generic-wide' is for continuous actions.*use 'generic-risk'"):
+        ControlScoring(column="generic-wide").planning(tasks, needs_pixels=True)
+    moving = Continuous(names=("dx",), low=(-1.0,), high=(1.0,), units=("",))
+    spec = replace(tasks.spec, actions=moving)
+    solver, objective = COLUMNS["generic-wide"].made(spec, needs_pixels=True)
+    assert solver == make_solver("icem", ["cost_at=last", "initial_std=1", "horizon=10", "hold=2", "samples=25"])
+    assert objective == COLUMNS["generic-risk"].made(spec, needs_pixels=True)[1]
 
 
 def test_a_report_without_a_column_says_nothing_of_columns() -> None:

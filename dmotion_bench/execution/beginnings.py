@@ -1,19 +1,22 @@
-"""Loaded by the server that worker processes are forks of: it leaves Ctrl-C to the command, and so do its forks.
+"""Loaded by the server that worker processes are forks of: it leaves Ctrl-C to the command.
 
-A terminal sends Ctrl-C to all of them. Each would print a traceback below the command's last sentence, and so would one
-that begins while its command ends: the semaphores that it was given are gone by then, or nobody tells it what to do.
-It can only end. Nothing else imports this module: to load it changes how a process heeds signals and tells of errors.
+A terminal sends Ctrl-C to the server, too, which would print a traceback below the command's last sentence. So would a
+fork that begins while its command ends: the semaphores that it was given are gone by then, or nobody tells it what to
+do. It can only end. Nothing else imports this module: to load it changes how a process heeds signals and tells of
+errors. The forks of the server heed Ctrl-C as ever, for they may be another library's.
 """
 
 from __future__ import annotations
 
+import os
 import pickle
 import signal
 import sys
 from multiprocessing import spawn, synchronize
-from types import TracebackType
+from types import FrameType, TracebackType
 
 _told = sys.excepthook
+_SERVER = os.getpid()
 _TOO_LATE = ((FileNotFoundError, synchronize.__file__), ((EOFError, pickle.UnpicklingError), spawn.__file__))
 
 
@@ -27,6 +30,12 @@ def _tell(kind: type[BaseException], error: BaseException, traceback: TracebackT
         _told(kind, error, traceback)
 
 
+def _leave(number: int, frame: FrameType | None) -> None:
+    """Do nothing in the server; in its forks raise ``KeyboardInterrupt``."""
+    if os.getpid() != _SERVER:
+        signal.default_int_handler(number, frame)
+
+
 sys.excepthook = _tell
-signal.signal(signal.SIGINT, signal.SIG_IGN)
+signal.signal(signal.SIGINT, _leave)
 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # it was started with Ctrl-C held back

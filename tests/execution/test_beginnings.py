@@ -38,6 +38,26 @@ def test_a_process_that_nobody_tells_what_to_do_says_nothing(beginning: bytes) -
     assert (done.returncode, done.stdout, done.stderr) == (0, "1\n", "")
 
 
+_OTHERS = """
+import signal
+from multiprocessing import get_context
+from dmotion_bench.execution.local_executor import _context
+
+_context(len)
+process = get_context("forkserver").Process(target=signal.raise_signal, args=(signal.SIGINT,))
+process.start()
+process.join()
+print(process.exitcode)
+"""
+"""Another library's process, which the same server starts."""
+
+
+def test_processes_of_others_heed_ctrl_c() -> None:
+    done = subprocess.run([sys.executable, "-c", _OTHERS], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout) == (0, "1\n"), done.stderr
+    assert "KeyboardInterrupt" in done.stderr
+
+
 @pytest.mark.slow
 def test_ctrl_c_in_a_terminal_while_the_server_loads_is_one_sentence(tmp_path: Path) -> None:
     """A terminal sends it to the command and to all that it has started."""
@@ -53,7 +73,7 @@ def test_ctrl_c_in_a_terminal_while_the_server_loads_is_one_sentence(tmp_path: P
     outcome = finish(process)
     assert outcome.code == 130
     assert "interrupted after 0 of 1 entries" in outcome.sentence()
-    assert not psutil.wait_procs(servers, timeout=20)[1]
+    assert not psutil.wait_procs(servers, timeout=120)[1]  # it loads to its end
 
 
 def _servers(process: subprocess.Popen[str]) -> list[psutil.Process]:

@@ -15,14 +15,14 @@ from dmotion_bench.wording import command
 
 group = typer.Typer(help="Inspect, check, repair, import and export data sets.", no_args_is_help=True)
 
-DatasetFolder = Annotated[
-    Path | None,
-    typer.Argument(
-        metavar="[DIR]",
-        help="The data set, by path, name or address (s3://bucket/path). Default: the only one of the workspace.",
-        show_default=False,
-    ),
-]
+
+def _argument(named_by: str) -> Any:
+    told = f"The data set, by {named_by}. Default: the only one of the workspace."
+    return typer.Argument(metavar="[DIR]", help=told, show_default=False)
+
+
+DatasetFolder = Annotated[Path | None, _argument("path, name or address (s3://bucket/path)")]
+LocalFolder = Annotated[Path | None, _argument("path or name")]
 
 
 def register(app: typer.Typer) -> None:
@@ -123,14 +123,7 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
 
 @group.command()
 def repair(
-    dataset: Annotated[
-        Path | None,
-        typer.Argument(
-            metavar="[DIR]",
-            help="The data set, by path or name. Default: the only one of the workspace.",
-            show_default=False,
-        ),
-    ] = None,
+    dataset: LocalFolder = None,
     workers: Annotated[int, typer.Option(min=1, help="Number of processes that record damaged files again.")] = 1,
     as_json: AsJson = False,
 ) -> None:

@@ -76,17 +76,21 @@ class Column:
     protocol: str = PROTOCOL
     continuous: bool = False
 
-    def objective_for(self, spec: EnvSpec, *, needs_pixels: bool) -> str:
-        """The name of the objective for a model of this kind; arguments as in ``made``.
+    def require_suited(self, spec: EnvSpec) -> None:
+        """Refuse an environment that the column is not for.
 
         Raises:
-            InvalidSetting: The column is not for such actions.
+            InvalidSetting: Its actions are discrete, and the column is for continuous ones.
         """
         if self.continuous and isinstance(spec.actions, Discrete):
             raise InvalidSetting(
                 f"the column {self.name!r} is for continuous actions, and those of {spec.id!r} are discrete here; use "
                 f"{HEADLINE.name!r}."
             )
+
+    def objective_for(self, spec: EnvSpec, *, needs_pixels: bool) -> str:
+        """The name of the objective for a model of this kind; arguments and errors as of ``made``."""
+        self.require_suited(spec)
         return self.objective or generic_objective(spec, needs_pixels=needs_pixels, for_objects=self.for_objects)
 
     def made(self, spec: EnvSpec, *, needs_pixels: bool) -> tuple[Solver, Objective]:

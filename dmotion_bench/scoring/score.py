@@ -19,7 +19,7 @@ from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
-from dmotion_bench.planning.columns import require_fitting_tasks, words_of_test
+from dmotion_bench.planning.columns import column_named, require_fitting_tasks, words_of_test
 from dmotion_bench.planning.contract import using
 from dmotion_bench.planning.dynamics.model import arithmetic_on
 from dmotion_bench.scoring.control import control_tables, require_tasks
@@ -274,7 +274,8 @@ def scored_data(
         column: Of the table of control.
 
     Raises:
-        InvalidSetting: A column is asked for on the run's own data set, or on tasks that are not the protocol's.
+        InvalidSetting: A column is asked for on the run's own data set, or on tasks that are not the protocol's,
+            or for other actions than it is for.
         RunMismatch, DatasetMissing: As ``score_run`` raises them.
     """
     dataset = Dataset.open(data or run.dataset_path)
@@ -285,6 +286,7 @@ def scored_data(
                 f"another data set with '--data', and record one with {words_of_test(dataset.recipe)}."
             )
         require_fitting_tasks(dataset)
+        column_named(column).require_suited(dataset.spec)  # before a folder is made for it
     if dataset.fingerprint != run.spec.fingerprint:
         if data is None:
             raise RunMismatch(

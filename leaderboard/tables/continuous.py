@@ -27,8 +27,8 @@ TABLE: Final = Table(
     entrants=(Entrant(model="dmotion", labels=("64",)), Entrant(model="ed-cnn", labels=("100%",))),
     columns=(
         Column(name="prediction", metrics=("prediction", "gain")),
-        *(frozen_column(one.name, ()) for one in COLUMNS.values() if one.continuous),
-        frozen_column(HEADLINE.name, ()),
+        *(frozen_column(one.name) for one in COLUMNS.values() if one.continuous),
+        frozen_column(HEADLINE.name),
     ),
     preset=Preset.SMALL,
     seeds=tuple(range(TRAININGS)),

@@ -11,9 +11,11 @@ from dmbench_command import dmbench
 from object_storage import Storage, object_storage
 
 import dmotion_bench as dm
+from dmotion_bench.scoring.references import published_results
 from dmotion_bench.workspace import Workspace
 from leaderboard.entry import Entry, published_entry
 from leaderboard.entry_file import write_entry
+from leaderboard.paper import label_count
 
 pytestmark = pytest.mark.slow
 RUN = "dmotion-grid_world-tiny-s0"
@@ -42,6 +44,12 @@ def outsider(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Workspace:
     found = Workspace(tmp_path / "outsider")
     found.root.mkdir()
     return found
+
+
+def write_published(folder: Path) -> None:
+    """An entry that a paper has published, which needs neither weights nor data."""
+    row = published_results()[0]
+    write_entry(published_entry(row, label_count(row.environment, row.labels)), folder)
 
 
 def test_an_outsider_checks_an_entry_from_files_alone(
@@ -98,12 +106,8 @@ def test_what_is_not_published_is_said_and_the_others_are_checked(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from dmotion_bench.scoring.references import published_results
-    from leaderboard.paper import label_count
-
     dm.share_push([RUN, "grid_world-tiny"], tmp_path / "place")
-    row = published_results()[0]
-    write_entry(published_entry(row, label_count(row.environment, row.labels)), tmp_path / "entries")
+    write_published(tmp_path / "entries")
     write_entry(sound, tmp_path / "entries")
     away = write_entry(Entry(dict(sound.content) | {"weights": "0" * 64, "run": "away"}), tmp_path / "entries")
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(outsider.root))
@@ -126,9 +130,6 @@ def test_what_cannot_be_fetched_ends_no_other_entrys_check(
     monkeypatch: pytest.MonkeyPatch,
     trouble: str,
 ) -> None:
-    from dmotion_bench.scoring.references import published_results
-    from leaderboard.paper import label_count
-
     place = tmp_path / "place"
     dm.share_push([RUN, "grid_world-tiny"], place)
     if trouble == "damaged":
@@ -136,8 +137,7 @@ def test_what_cannot_be_fetched_ends_no_other_entrys_check(
     else:
         (outsider.runs / RUN).mkdir(parents=True)
     write_entry(sound, tmp_path / "entries")
-    row = published_results()[0]
-    write_entry(published_entry(row, label_count(row.environment, row.labels)), tmp_path / "entries")
+    write_published(tmp_path / "entries")
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(outsider.root))
     words = ["leaderboard", "check", "--quick", str(tmp_path / "entries"), "--from", str(place)]
     checked = dmbench(words, capsys, monkeypatch)

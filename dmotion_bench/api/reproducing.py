@@ -285,7 +285,7 @@ class _Work:
                 data=scoring.data,
                 note=self.watch.note,
             )
-            self.failures |= {f"scoring {name} for {column.name}": why for name, why in failures.items()}
+            self.failures |= {f"scoring {path.name} for {column.name}": why for path, why in failures.items()}
             done += len(paths)
 
     def build(self, columns: Sequence[Column]) -> None:

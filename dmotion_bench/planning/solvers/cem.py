@@ -159,7 +159,8 @@ class CrossEntropy:
         if not self.step_discount:
             return costs
         factor = 1 + self.step_discount * np.arange(costs.shape[2])
-        return np.where(costs < 0, costs / factor, costs * factor)
+        discounted: Float[np.ndarray, "b s t"] = np.where(costs < 0, costs / factor, costs * factor)
+        return discounted
 
     def _warm_start(self, dynamics: Dynamics, context: PlanContext, sought: Search) -> Ranked:
         """The best sequences of the step before, shifted by one action, and what they cost now."""

@@ -30,7 +30,7 @@ from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
 __all__ = [
     "ScoreSettings",
@@ -48,6 +48,7 @@ __all__ = [
 _LOG = logging.getLogger(__name__)
 
 
+@in_workspace
 def score(
     run: AnyPath | None = None,
     metrics: Sequence[str] | str | None = None,

@@ -90,7 +90,9 @@ class PositionFinder:
     def find_extents(self, frames: UInt8[Tensor, "b h w 3"]) -> tuple[Positions, Float[Tensor, "b k 2 2"]]:
         """The objects' places, and the first and the last column and row of each (the last axis) [px].
 
-        Only rows and columns with two pixels count, so that a stray one does not. NaN for what was not found.
+        Only rows and columns with two pixels count, so that a stray one does not. In a picture so small that one pixel
+        is a thing, a thing that has two in no row or in no column extends over those with one. NaN for what was not
+        found.
         """
         return self._with_extents(*self._counts(frames))
 
@@ -100,7 +102,10 @@ class PositionFinder:
         found = self._positions(rows, columns, rows.shape[:1])
         extents = []
         for counts in (columns, rows):
-            there = (counts >= 2).to(torch.uint8)
+            enough = counts >= 2
+            if self.least_pixels == 1:
+                enough |= (counts >= 1) & ~enough.any(-1, keepdim=True)
+            there = enough.to(torch.uint8)
             first, last = there.argmax(-1), counts.shape[-1] - 1 - there.flip(-1).argmax(-1)
             extents.append(torch.stack([first, last], dim=-1).float())
         return found, torch.stack(extents, dim=-2).masked_fill(~found.found[..., None, None], torch.nan)

@@ -1,16 +1,21 @@
 """The workspace: its folders ``data/``, ``runs/`` and ``reports/``, and the search for data sets and runs in them.
 
-The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names. What is derived from a data set is
+The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names, or the one that a caller of the
+library names for the time of the call. What is derived from a data set is
 kept in its ``cache/``, or in the folder that ``DMBENCH_CACHE`` names.
 """
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import os
 import shlex
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final, ParamSpec, TypeVar
 
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
@@ -75,13 +80,22 @@ class Workspace:
 
     @classmethod
     def current(cls) -> Workspace:
-        """The workspace of this process."""
-        return cls(Path(os.environ.get("DMBENCH_WORKSPACE", ".")))
+        """The workspace that was entered or, outside of any, that of this process."""
+        return _ENTERED.get() or cls(Path(os.environ.get("DMBENCH_WORKSPACE", ".")))
 
     @classmethod
     def given(cls, root: AnyPath | None) -> Workspace:
         """The workspace that a caller names; without a name that of this process."""
         return cls.current() if root is None else cls(root)
+
+    @contextlib.contextmanager
+    def entered(self) -> Iterator[None]:
+        """The current workspace within; another thread has its own."""
+        token = _ENTERED.set(self)
+        try:
+            yield
+        finally:
+            _ENTERED.reset(token)
 
     @property
     def data(self) -> Path:
@@ -165,3 +179,26 @@ class Workspace:
                 f"{command('dmbench data import', given)}."
             )
         raise UnknownName(kind, str(given), [path.name for path in known], f"dmbench list {kind.replace(' ', '')}s")
+
+
+_ENTERED: Final[ContextVar[Workspace | None]] = ContextVar("entered", default=None)
+_Given = ParamSpec("_Given")
+_Result = TypeVar("_Result")
+
+
+def in_workspace(function: Callable[_Given, _Result]) -> Callable[_Given, _Result]:
+    """Let the ``workspace`` that a caller names be the current one of all that the function calls.
+
+    Args:
+        function: Has the keyword argument ``workspace``: a folder, or None for the current one.
+    """
+
+    @functools.wraps(function)
+    def called(*args: _Given.args, **named: _Given.kwargs) -> _Result:
+        given = named.get("workspace")
+        if given is None:
+            return function(*args, **named)
+        with Workspace(as_path("workspace", given)).entered():  # type: ignore[arg-type]
+            return function(*args, **named)
+
+    return called

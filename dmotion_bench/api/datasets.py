@@ -19,7 +19,7 @@ from dmotion_bench.learning.images import to_model
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage import dataset as stored
 from dmotion_bench.storage.shard import EpisodeRow
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
 Triplet = dict[str, torch.Tensor]
 """``previous``, ``current`` and ``next``, each Float[c h w] in [-1, 1]; ``episode``; with labels also ``action``."""
@@ -140,6 +140,7 @@ class TripletDataset(torch.utils.data.Dataset[Triplet]):
         ]
 
 
+@in_workspace
 def open_dataset(data: AnyPath | None = None, *, workspace: AnyPath | None = None) -> Dataset:
     """Open a data set that was recorded or imported.
 

@@ -27,12 +27,13 @@ from dmotion_bench.storage.imports.recording import Clock
 from dmotion_bench.storage.imports.sources import SUFFIXES
 from dmotion_bench.storage.video.codecs import CODECS
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, listed
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, in_workspace, listed
 
 _CLUSTER_GIGABYTES: Final = 8
 _CLUSTER_MINUTES: Final = 24 * 60
 
 
+@in_workspace
 def import_recordings(
     recordings: AnyPaths,
     *,
@@ -200,6 +201,7 @@ def _plain(path: Path) -> str:
     return re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "recording"
 
 
+@in_workspace
 def export_dataset(
     data: AnyPath | None = None,
     *,

@@ -23,7 +23,7 @@ from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, listed
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, in_workspace, listed
 
 _GIGABYTES: Final = 2.0  # that checking takes beside others
 _CLUSTER_GIGABYTES: Final = 16
@@ -81,6 +81,7 @@ class Verdict(Protocol):
         ...
 
 
+@in_workspace
 def leaderboard_build(
     runs: AnyPaths | None = None,
     *,
@@ -125,6 +126,7 @@ def leaderboard_build(
     return made
 
 
+@in_workspace
 def leaderboard_check(
     paths: AnyPaths | None = None,
     *,
@@ -199,6 +201,7 @@ def leaderboard_check(
             return verdicts
 
 
+@in_workspace
 def leaderboard_compare(
     first: AnyPath,
     second: AnyPath,

@@ -32,7 +32,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.control import SHOWN, control_blueprint, log_goal, log_step
 from dmotion_bench.viewing.filmstrip import Film, filmstrip, write_filmstrip
 from dmotion_bench.viewing.live import recording_to
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
 STRIP: Final = ".png"
 
@@ -72,6 +72,7 @@ class Planned:
         return asdict(self)
 
 
+@in_workspace
 def plan(
     run: AnyPath | None = None,
     task: SupportsIndex = 0,

@@ -19,9 +19,10 @@ from dmotion_bench.recording.session import Recorded, record_dataset, recording_
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.shard import shard_count
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
 
+@in_workspace
 def record(
     environment: str,
     preset: Preset | str = Preset.SMALL,

@@ -32,7 +32,7 @@ from dmotion_bench.scoring.control import ControlScoring, score_reference
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
 _LOG = logging.getLogger(__name__)
 
@@ -85,6 +85,7 @@ class Reproduced:
         }
 
 
+@in_workspace
 def reproduce(
     table: str | Table,
     *,
@@ -141,6 +142,7 @@ def reproduce(
         return make(plan, cost, hands, Watch(count=count))
 
 
+@in_workspace
 def plan_table(
     table: str | Table,
     *,
@@ -285,7 +287,7 @@ class _Work:
                 data=scoring.data,
                 note=self.watch.note,
             )
-            self.failures |= {f"scoring {name} for {column.name}": why for name, why in failures.items()}
+            self.failures |= {f"scoring {path.name} for {column.name}": why for path, why in failures.items()}
             done += len(paths)
 
     def build(self, columns: Sequence[Column]) -> None:

@@ -16,7 +16,7 @@ from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.runs import run as runs
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report
 from dmotion_bench.wording import command
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
 Images = np.ndarray[Any, Any] | Tensor
 """Stored frames UInt8[h w 3] or UInt8[b h w 3], or images Float[b c h w] in [-1, 1]."""
@@ -177,6 +177,7 @@ class Run(runs.Run):
             return numbered
 
 
+@in_workspace
 def load_run(run: AnyPath | None = None, *, workspace: AnyPath | None = None) -> Run:
     """Open a run, trained or not; its weights are read when they are first needed.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import SupportsIndex
@@ -29,13 +30,14 @@ from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
 __all__ = [
     "ScoreSettings",
     "as_metrics",
     "compute_device",
     "control_scoring",
+    "names_apart",
     "read_report_samples",
     "score",
     "score_references",
@@ -46,6 +48,7 @@ __all__ = [
 _LOG = logging.getLogger(__name__)
 
 
+@in_workspace
 def score(
     run: AnyPath | None = None,
     metrics: Sequence[str] | str | None = None,
@@ -140,7 +143,7 @@ def score_runs(
     progress: Progress = None,
     note: Callable[[str], None] = _LOG.info,
     warn: Callable[[str], None] = _LOG.warning,
-) -> tuple[dict[Path, Report], dict[str, str]]:
+) -> tuple[dict[Path, Report], dict[Path, str]]:
     """Score runs one after the other; of several, one that fails does not stop the rest, but a full disk does.
 
     Args:
@@ -154,19 +157,20 @@ def score_runs(
         note, warn: Told in a sentence what is worth knowing; that a run was left out, or its model changed.
 
     Returns:
-        The report of each run, and by its name what went wrong with each that has none.
+        The report of each run, and what went wrong with each that has none, both by the run's folder.
 
     Raises:
         StorageFull: There is no space left for a report.
     """
     where, shared = compute_device(device), SharedSamples()
     reports: dict[Path, Report] = {}
-    failures: dict[str, str] = {}
+    failures: dict[Path, str] = {}
+    names = names_apart(paths)
     warned: set[str] = set()
     with telling(progress) as tell:
         for path in paths:
 
-            def show(what: str, done: int, total: int, name: str = path.name) -> None:
+            def show(what: str, done: int, total: int, name: str = names[path]) -> None:
                 tell(JobProgress(what=f"scoring {name}", done=done, total=total, status=what))
 
             try:
@@ -193,9 +197,15 @@ def score_runs(
                 if keep and data is not None and isinstance(error, RunMismatch):
                     warn(f"left out: {error}")
                     continue
-                failures[path.name] = str(error) if isinstance(error, DmbenchError) else repr(error)
-                note(f"{path.name}: {failures[path.name]}")
+                failures[path] = str(error) if isinstance(error, DmbenchError) else repr(error)
+                note(f"{names[path]}: {failures[path]}")
     return reports, failures
+
+
+def names_apart(paths: Sequence[Path]) -> dict[Path, str]:
+    """What to call each run: its name, or its whole path where another run has the same name."""
+    known = Counter(path.name for path in dict.fromkeys(paths))
+    return {path: path.name if known[path.name] == 1 else str(path) for path in paths}
 
 
 def changed_code(run: Run) -> str | None:

@@ -31,7 +31,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath, AnyPaths, Workspace, listed
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath, AnyPaths, Workspace, in_workspace, listed
 
 _HASH: Final = re.compile(r"([0-9a-f]{8,64})(?:/([0-9a-f]{8,64}))?")
 
@@ -44,6 +44,7 @@ class _Sources:
     datasets: tuple[Path, ...] = ()
 
 
+@in_workspace
 def share_push(
     what: AnyPaths,
     place: AnyPath,
@@ -88,6 +89,7 @@ def share_push(
         return pushed + [push_run(there, one, mend=mend, tell=told) for one in trained]
 
 
+@in_workspace
 def share_pull(
     what: AnyPaths,
     place: AnyPath,
@@ -156,6 +158,7 @@ def share_list(place: AnyPath) -> list[Shared]:
     return contents(open_place(place))
 
 
+@in_workspace
 def pull_entries(
     paths: Sequence[Path], place: AnyPath, *, workspace: AnyPath | None = None, progress: Progress = None
 ) -> list[str]:

@@ -10,7 +10,7 @@ from typing import Final
 
 import torch
 
-from dmotion_bench.api.scoring import changed_code, compute_device
+from dmotion_bench.api.scoring import changed_code, compute_device, names_apart
 from dmotion_bench.errors import RunError
 from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import JobSize
@@ -24,7 +24,7 @@ from dmotion_bench.learning.training.table import Outcome, Row, rows, train_side
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import scored_report
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
-from dmotion_bench.scoring.side_by_side import ScoreJob, score_side_by_side
+from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_side_by_side
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -197,6 +197,44 @@ def _changed_code_at(path: Path) -> str | None:
         return None
 
 
+def scored_in_turn(
+    paths: Sequence[Path],
+    metrics: tuple[Metric, ...] | None,
+    settings: ScoreSettings,
+    hands: Hands,
+    *,
+    keep: bool = True,
+    data: Path | None = None,
+) -> bool:
+    """Whether one process scores all; arguments as of ``score_at_once``, which several can share otherwise."""
+    return hands.in_turn(_pieces([_score_job(path, metrics, settings, hands, keep, 1, data) for path in paths]))
+
+
+def _score_job(
+    path: Path,
+    metrics: tuple[Metric, ...] | None,
+    settings: ScoreSettings,
+    hands: Hands,
+    keep: bool,
+    batch_size: int,
+    data: Path | None,
+) -> ScoreJob:
+    return ScoreJob(
+        run=path.absolute(),
+        metrics=metrics,
+        settings=settings,
+        renew=not keep,
+        data=None if data is None else data.absolute(),
+        batch_size=batch_size,
+        device=hands.job_device,
+    )
+
+
+def _pieces(jobs: Sequence[ScoreJob]) -> int:
+    """How many workers find something to do at a time: a run each or, where there are more of these, control tasks."""
+    return max(len(jobs), sum(1 for job in jobs for _ in control_shares(job)))
+
+
 def score_at_once(
     paths: Sequence[Path],
     metrics: tuple[Metric, ...] | None,
@@ -209,7 +247,7 @@ def score_at_once(
     data: Path | None = None,
     note: Callable[[str], None] = _nobody,
     warn: Callable[[str], None] = _nobody,
-) -> tuple[dict[Path, Report], dict[str, str]]:
+) -> tuple[dict[Path, Report], dict[Path, str]]:
     """Score runs by an executor, which shares the runs and, of control, groups of tasks.
 
     Args:
@@ -223,25 +261,14 @@ def score_at_once(
     name = hands.executor or "local"
     if not hands.on_cluster:
         compute_device(hands.device)  # refuses what is not here
-    jobs = [
-        ScoreJob(
-            run=path.absolute(),
-            metrics=metrics,
-            settings=settings,
-            renew=not keep,
-            data=None if data is None else data.absolute(),
-            batch_size=batch_size,
-            device=hands.job_device,
-        )
-        for path in paths
-    ]
+    jobs = [_score_job(path, metrics, settings, hands, keep, batch_size, data) for path in paths]
     for told in dict.fromkeys(filter(None, map(_changed_code_at, paths))):
         warn(told)
-    own = {job.run: path for job, path in zip(jobs, paths, strict=True)}
+    own, names = {job.run: path for job, path in zip(jobs, paths, strict=True)}, names_apart(paths)
     reports: dict[Path, Report] = {}
-    failures: dict[str, str] = {}
+    failures: dict[Path, str] = {}
     with jobs_folder(workspace) as folder:
-        executor = make_executor(name, hands.at_once(len(paths)), scratch=folder / name, size=hands.job_size())
+        executor = make_executor(name, hands.at_once(_pieces(jobs)), scratch=folder / name, size=hands.job_size())
         hands.count(0, len(jobs))
         outcomes = score_side_by_side(jobs, executor, progress=folder)
         with watching(folder, hands.watch), contextlib.closing(outcomes):
@@ -250,9 +277,9 @@ def score_at_once(
                 path = own[outcome.run]
                 if outcome.error is None:
                     reports[path] = scored_report(path, settings.split, data, settings.control.column)
-                elif outcome.unfit and data is not None and keep:
+                elif outcome.unfit and data is not None and keep and len(paths) > 1:
                     warn(f"left out: {outcome.error}")
                 else:
-                    failures[path.name] = outcome.error
-                    note(f"{path.name}: {outcome.error}")
+                    failures[path] = outcome.error
+                    note(f"{names[path]}: {outcome.error}")
     return {path: reports[path] for path in paths if path in reports}, failures

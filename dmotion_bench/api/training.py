@@ -52,7 +52,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_before_training
 from dmotion_bench.testing.declaration import check_class, check_settings
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace
+from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace, in_workspace
 
 if TYPE_CHECKING:
     import torch
@@ -71,6 +71,7 @@ __all__ = [
 _LOG = logging.getLogger(__name__)
 
 
+@in_workspace
 def train(
     model: str,
     data: AnyPath | None = None,

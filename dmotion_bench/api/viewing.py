@@ -35,7 +35,7 @@ from dmotion_bench.viewing.scene import Scene, write_scene
 from dmotion_bench.viewing.target import Target, find_target
 from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, listed
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, in_workspace, listed
 
 __all__ = [
     "ANIMATED",
@@ -92,6 +92,7 @@ class Served:
         self.close()
 
 
+@in_workspace
 def view(
     what: AnyPaths,
     *,

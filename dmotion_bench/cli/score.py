@@ -131,7 +131,7 @@ def score(
         return
     if every and runs:
         raise UsageError("--all scores every run; name runs or give --all, not both.")
-    paths = workspace.all_runs() if every else [workspace.run(run) for run in runs or []]
+    paths = workspace.all_runs() if every else list(dict.fromkeys(workspace.run(run) for run in runs or []))
     if not paths:
         paths = [workspace.run(None)]
 
@@ -158,9 +158,9 @@ def score(
         summaries = [report.summary() | {"run": str(path)} for path, report in reports.items()]
         print_json({"reports": summaries})
     else:
-        _show(reports, overview=every or len(paths) > 1)
+        _show(reports, overview=len(paths) > 1)
     if failures:
-        raise _failed(failures, len(paths))
+        raise _failed(failures, paths)
 
 
 def _scored(
@@ -175,10 +175,10 @@ def _scored(
     device: str,
     batch_size: int,
     data: Path | None,
-) -> tuple[dict[Path, Report], dict[str, str]]:
+) -> tuple[dict[Path, Report], dict[Path, str]]:
     """Score runs in turn or by an executor, and show how far that is."""
     from dmotion_bench.api.scoring import score_runs
-    from dmotion_bench.api.side_by_side import Hands, score_at_once
+    from dmotion_bench.api.side_by_side import Hands, score_at_once, scored_in_turn
     from dmotion_bench.cli.jobs import jobs_bar
     from dmotion_bench.cli.progress import BarOnDemand, note
 
@@ -188,7 +188,7 @@ def _scored(
     with BarOnDemand() as bar, jobs_bar("scoring") as (count, watch):
         hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)
         is_shared = every or workers is not None or executor is not None
-        if is_shared and not hands.in_turn(len(paths)):
+        if is_shared and not scored_in_turn(paths, metrics, settings, hands, keep=every, data=data):
             return score_at_once(paths, metrics, settings, workspace, hands, keep=every, **how)
         return score_runs(paths, metrics, settings, device=device, keep=every, progress=bar, **how)
 
@@ -228,8 +228,10 @@ def _show(reports: dict[Path, Report], *, overview: bool) -> None:
             show_report(report, path)
 
 
-def _failed(failures: dict[str, str], total: int) -> Exception:
+def _failed(failures: dict[Path, str], paths: list[Path]) -> Exception:
+    from dmotion_bench.api.scoring import names_apart
     from dmotion_bench.errors import RunError
 
-    listed = "\n".join(f"  {name}: {error}" for name, error in failures.items())
-    return RunError(f"{len(failures)} of {total} runs could not be scored:\n{listed}")
+    names = names_apart(paths)
+    listed = "\n".join(f"  {names[path]}: {error}" for path, error in failures.items())
+    return RunError(f"{len(failures)} of {len(paths)} runs could not be scored:\n{listed}")

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Final, Generic, Protocol, TypeVar, runtime_checkable
 
 from dmotion_bench.errors import JobsLost
+from dmotion_bench.workspace import Workspace
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -52,7 +53,7 @@ class Executor(Protocol):
 
 
 class Sendable(Generic[Job, Result]):
-    """Calls a function, and raises what can be sent to another process.
+    """Calls a function in another process: in the workspace of this one, and what it raises can be sent back.
 
     An exception whose ``__init__`` takes more than its text cannot be read there: the process that reads it would take
     the worker for a killed one, or fail itself.
@@ -62,7 +63,7 @@ class Sendable(Generic[Job, Result]):
     """
 
     def __init__(self, function: Callable[[Job], Result]) -> None:
-        self._function = function
+        self._function, self._workspace = function, Workspace(Workspace.current().root.absolute())
 
     def __call__(self, job: Job) -> Result:
         """What the function returns.
@@ -72,7 +73,8 @@ class Sendable(Generic[Job, Result]):
             Exception: What the function raises.
         """
         try:
-            return self._function(job)
+            with self._workspace.entered():
+                return self._function(job)
         except Exception as error:
             try:
                 pickle.loads(pickle.dumps(error))  # what this process has just written

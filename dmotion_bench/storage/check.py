@@ -13,7 +13,7 @@ from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetCorrupt
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import TABLES, Manifest, ShardEntry
-from dmotion_bench.storage.mcap_reader import DamagedFile
+from dmotion_bench.storage.mcap_reader import DamagedFile, lost_is_damaged
 from dmotion_bench.storage.remote_copy import RemoteCopy
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, scan_shard, shard_path
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
@@ -144,8 +144,15 @@ def _file_damage(path: Path, kind: str, index: int, facts: FileFacts) -> Iterato
         yield Damage(file=name, shard=index, what="is missing")
     elif file.stat().st_size != facts.size:
         yield Damage(file=name, shard=index, what=f"has {file.stat().st_size} bytes instead of {facts.size}")
-    elif file_facts(file) != facts:
-        yield Damage(file=name, shard=index, what="has other bytes than were recorded")
+    else:
+        try:
+            with lost_is_damaged():
+                is_sound = file_facts(file) == facts
+        except DamagedFile as damage:
+            yield Damage(file=name, shard=index, what=str(damage))
+        else:
+            if not is_sound:
+                yield Damage(file=name, shard=index, what="has other bytes than were recorded")
 
 
 def _remote_damage(

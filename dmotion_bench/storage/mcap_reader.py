@@ -7,6 +7,8 @@ read with the official reader, by the import.
 
 from __future__ import annotations
 
+import contextlib
+import errno
 import io
 import os
 import stat
@@ -36,6 +38,7 @@ from dmotion_bench.wording import sentence
 _CHUNK_TAIL: Final = struct.Struct(f"<I{len(COMPRESSION)}sQ")  # compression's name, compressed size
 _FIXED: Final = CHUNK_HEAD.size + _CHUNK_TAIL.size
 _METADATA_LIMIT: Final = 2**20  # [bytes]
+_LOST: Final = (errno.EIO, errno.EBADMSG, getattr(errno, "EUCLEAN", errno.EIO))  # a disk's, a file system's checksums
 
 
 class DamagedFile(Exception):
@@ -43,6 +46,21 @@ class DamagedFile(Exception):
 
     def __init__(self, said: str) -> None:
         super().__init__(sentence(said))
+
+
+@contextlib.contextmanager
+def lost_is_damaged() -> Iterator[None]:
+    """What the disk can no longer read is damaged like what it reads wrongly: only what needs these bytes is lost.
+
+    Raises:
+        DamagedFile: In place of the operating system's error.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in _LOST:
+            raise
+        raise DamagedFile(f"cannot be read from the disk: {error.strerror}") from None
 
 
 class MessageView(NamedTuple):
@@ -76,7 +94,7 @@ def read_messages(path: Path, span: Span, *, chunk_limit: int, room: Room | None
         room: Where chunks are unpacked; a message is then gone once that of the next chunk is asked for. None takes
             new memory for each.
     """
-    with _opened(path) as file:
+    with lost_is_damaged(), _opened(path) as file:
         size = os.fstat(file.fileno()).st_size
         end = span.offset + span.size
         if span.offset < 0 or span.size < 0 or end > size:
@@ -181,16 +199,16 @@ def list_sections(path: Path, *, most: int, salvage: bool = False) -> list[Secti
         salvage: Stop at the first thing that is wrong, with what came before it, instead of raising.
     """
     found: list[Section] = []
-    with _opened(path) as file:
-        try:
+    try:
+        with lost_is_damaged(), _opened(path) as file:
             for section in _sections(file, most):
                 if section.span.size == 0:
                     found.append(section)
                 else:
                     found[-1] = section
-        except DamagedFile:
-            if not salvage:
-                raise
+    except DamagedFile:
+        if not salvage:
+            raise
     return found
 
 

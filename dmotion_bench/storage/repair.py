@@ -2,8 +2,9 @@
 
 ``rebuild_tables`` makes the tables again from sound shards. ``salvage`` keeps every episode that can be read to
 its last frame: of a truncated file each complete chunk is read, in the order of the file, which is what the
-official reader's ``NonSeekingReader(log_time_order=False)`` would yield. Recording lost shards anew from the
-recipe, which loses nothing, is ``dmotion_bench.recording.restore``.
+official reader's ``NonSeekingReader(log_time_order=False)`` would yield. An episode whose bytes the disk can no longer
+read is lost like one whose bytes are wrong. Recording lost shards anew from the recipe, which loses nothing, is
+``dmotion_bench.recording.restore``.
 """
 
 from __future__ import annotations

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
@@ -12,6 +13,7 @@ from click.testing import Result
 from known_model import spec_with
 from typer.testing import CliRunner
 
+from dmotion_bench.api.scoring import score_runs
 from dmotion_bench.cli import score as command
 from dmotion_bench.errors import RunError, RunMismatch, RunMissing, StorageFull, UnknownName, UsageError
 from dmotion_bench.learning.runs.run import Run
@@ -190,6 +192,49 @@ def test_workers_share_named_runs_as_well_as_all(
     else:
         assert result.exit_code == 0
         assert "left out: it does not fit." in result.stderr
+
+
+@pytest.mark.parametrize(("groups", "workers"), [(1, None), (3, 2)])
+def test_the_control_of_one_run_of_all_is_shared_among_the_processors(
+    run: Callable[..., Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, groups: int, workers: int | None
+) -> None:
+    for other in ("b", "broken"):
+        shutil.rmtree(tmp_path / "runs" / other)
+    given = list[int | None]()
+
+    def executor(_: str, workers: int | None, **_options: object) -> object:
+        given.append(workers)
+        return object()
+
+    def score(jobs: Sequence[ScoreJob], *_: object, **_options: object) -> Iterator[ScoreOutcome]:
+        yield from (ScoreOutcome(run=job.run, error="it has no tasks.") for job in jobs)
+
+    monkeypatch.setattr("dmotion_bench.api.side_by_side.available_workers", lambda _: 2)
+    monkeypatch.setattr("dmotion_bench.api.side_by_side.control_shares", lambda job: [job] * groups)
+    monkeypatch.setattr("dmotion_bench.api.side_by_side.make_executor", executor)
+    monkeypatch.setattr("dmotion_bench.api.side_by_side.score_side_by_side", score)
+    result = run("--all", "--metrics", "control")
+    if workers is None:  # as the run that is named
+        assert (given, result.stdout) == ([], run("a", "--metrics", "control").stdout)
+    else:
+        assert given == [workers]
+        assert "a: it has no tasks." in str(result.exception)
+
+
+def test_two_runs_of_one_name_that_fail_are_two_failures(run: Callable[..., Result], tmp_path: Path) -> None:
+    shutil.copytree(tmp_path / "runs/broken", tmp_path / "elsewhere/broken")
+    both = [tmp_path / "runs/broken", tmp_path / "elsewhere/broken"]
+
+    _, failures = score_runs(both, None, ScoreSettings())
+    told = str(run(*map(str, both)).exception)
+
+    assert list(failures) == both
+    assert told.startswith("2 of 2 runs could not be scored:")
+    assert all(f"  {path}: the run 'broken' is not finished" in told for path in both)
+
+
+def test_a_run_that_is_named_twice_is_scored_once(run: Callable[..., Result]) -> None:
+    assert run("a", "a").stdout == run("a").stdout
 
 
 def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:

@@ -180,7 +180,7 @@ FAULTS = (
         file="dmotion_bench/learning/training/state.py",
         right="- self.best_step // validate_every",
         wrong="- part.start // validate_every",
-        tests=("tests/learning/test_training.py",),
+        tests=("tests/learning/test_phases.py",),
     ),
     Fault(
         name="the hash of weights ignores their values",

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from known_model import Known, write_run
 
@@ -24,12 +25,16 @@ from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import Workspace
+from leaderboard.board import Board
 from leaderboard.build import entry_of_run
 from leaderboard.entry import Entry
+from leaderboard.row import Row
 from recorders.grid_things import FACTS
 from recorders.grid_world import GridWorld
 
 SETTINGS = ScoreSettings(horizon=3, resamples=200)
+EPISODES = list(range(40))
+FRAMES = 25
 
 
 @pytest.fixture(autouse=True)
@@ -81,6 +86,12 @@ def sound(scored_workspace: Workspace) -> Entry:
         return entry_of_run(scored_workspace.runs / "dmotion-grid_world-tiny-s0")
 
 
+@pytest.fixture(scope="session")
+def shared() -> SharedSamples:
+    """What checks compute alike, once for all tests."""
+    return SharedSamples()
+
+
 @pytest.fixture
 def changed(sound: Entry) -> Callable[..., Entry]:
     """The sound entry with some of its content replaced: ``changed(mse={...}, seed=3)``."""
@@ -105,3 +116,25 @@ def controlled(entry: Entry, model: str, distance: float) -> Entry:
     content["figures"] |= figures(distance)
     content["reference"] |= {"idle": figures(1.0), "oracle": figures(0.1)}
     return Entry(content)
+
+
+@pytest.fixture
+def result(sound: Entry) -> Callable[..., Entry]:
+    """Makes an entry whose error in each episode is given."""
+
+    def make(model: str, errors: np.ndarray, *, seed: int = 0, labels: Any = "one-shot", **content: Any) -> Entry:
+        made = copy.deepcopy(dict(sound.content))
+        figure = {"mean": float(errors.mean()), "std": 1.0, "low": None, "high": None, "n": FRAMES * len(EPISODES)}
+        sums = {"episode": EPISODES, "n": [FRAMES] * len(EPISODES), "sum": (errors * FRAMES).tolist()}
+        told = labels if isinstance(labels, dict) else {"asked": labels, "given": {}, "total": 4}
+        made |= {"model": model, "seed": seed, "run": f"{model}-{told['asked']}-s{seed}", "weights": f"{seed:064x}"}
+        made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
+        made["labels"] = told
+        return Entry(made | content)
+
+    return make
+
+
+def row_named(board: Board, name: str) -> Row:
+    (row,) = (row for row in board.rows if row.name == name and row.kind == "measured")
+    return row

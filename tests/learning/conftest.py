@@ -1,4 +1,4 @@
-"""A small data set in memory: what the learning code asks of a data set, and nothing on disk."""
+"""A small data set in memory, with what the learning code asks of a data set, and one on disk with a training."""
 
 from __future__ import annotations
 
@@ -8,8 +8,11 @@ from typing import NoReturn
 
 import numpy as np
 import pytest
+from learning.short_training import short_run, train_short
+from walking_square import record_walks
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectSpec, ObjectStates, SplitName
 from dmotion_bench.storage.messages import StateLabels
 from dmotion_bench.storage.tables import EpisodeTable
@@ -92,3 +95,17 @@ class DatasetInMemory:
 @pytest.fixture
 def dataset() -> DatasetInMemory:
     return DatasetInMemory()
+
+
+@pytest.fixture(scope="session")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Read only."""
+    return record_walks(tmp_path_factory.mktemp("data") / "walk-test")
+
+
+@pytest.fixture(scope="session")
+def trained(recorded: Path, tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """A short training on it; read only."""
+    run = short_run(recorded, tmp_path_factory.mktemp("runs") / "whole")
+    train_short(run, recorded)
+    return run

@@ -161,6 +161,29 @@ def test_blocked_actions_are_not_taken(name: str) -> None:
     same(free, Walks((0, 1, 2)).plan(solver_of(name), context(3, blocked=np.ones((3, 4), np.bool_))))
 
 
+@pytest.mark.parametrize("name", ["icem", "all variations"])
+def test_where_all_actions_are_blocked_what_was_best_is_tried_again(name: str) -> None:
+    memory = Walks((0, 1, 2)).plan(solver_of(name), context(3)).memory
+    assert memory is not None
+    free, none_left = (
+        Walks((0, 1, 2)).plan(solver_of(name), context(3, seed=1, memory=memory, blocked=np.full((3, 4), blocked)))
+        for blocked in (False, True)
+    )
+    same(free, none_left)
+
+
+@pytest.mark.parametrize("cost", [-2.0, 0.0, 3.0])
+def test_of_equal_costs_the_sooner_one_is_better_whatever_their_sign(cost: float) -> None:
+    solver = CrossEntropy(horizon=4, step_discount=0.5)
+    late, soon = np.full(4, 9.0), np.full(4, 9.0)
+    late[3] = soon[1] = cost
+
+    after, before = solver._of_sequences(np.stack([late, soon])[None])[0]
+
+    assert (before < after) if cost else (before == after)
+    assert after == (cost * 2.5 if cost >= 0 else cost / 2.5)
+
+
 def test_what_was_best_is_tried_again_one_step_later() -> None:
     solver = CrossEntropy(samples=6, elites=3, iterations=1, kept_elites=3)
     memory = np.array([[[0, 3, 3, 3, 0], [1, 1, 1, 1, 1], [0, 0, 0, 0, 2]]])

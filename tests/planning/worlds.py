@@ -14,9 +14,12 @@ from torch import Tensor
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, TripletBatch
+from dmotion_bench.planning.agents import ModelAgent
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation
 from dmotion_bench.planning.objectives.base import CostState, Memoryless, StepCost
+from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
+from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.positions import PositionFinder
 from dmotion_bench.specs import Supervision
 from recorders.grid_drawing import Version
@@ -174,3 +177,8 @@ class PerfectGridModel(ForwardModel[None]):
         stays = ~((after[:, 0] >= 0) & (after[:, 0] < CELLS)).all(-1)
         after[stays], there[:, 0] = cells[stays], True
         return to_model(torch.from_numpy(draw(after, there, self._version).frames))
+
+
+def tracking(solver: CrossEntropy) -> ModelAgent:
+    """The agent that knows the rules of Grid World."""
+    return ModelAgent(PerfectGridModel(), FACTS, solver, Tracked(), bf16=False)

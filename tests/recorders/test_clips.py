@@ -10,6 +10,7 @@ import pytest
 from noise_world import files_of
 from storage.foreign_video import moving, video_file
 
+import dmotion_bench as dm
 from dmotion_bench.errors import InvalidSetting, RecordingImportError, UnknownName
 from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.recording.preset import recipe_for
@@ -76,6 +77,19 @@ def test_the_recipe_holds_their_hash_and_decides_the_bytes(folder: Path, tmp_pat
     assert again.parameters == recipe.parameters
     other = recipe_for("grid_world", episodes=3, frames=6, tasks=0, settings=asked(str(folder)))
     assert other.parameters["clips"] != recipe.parameters["clips"]  # another content of the same folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", [1, 2])
+def test_they_are_kept_in_the_workspace_that_a_call_names(folder: Path, tmp_path: Path, workers: int) -> None:
+    """Not in that of the process; the processes that record look there, too."""
+    there = tmp_path / "named"
+    small = {"episodes": 3, "frames": 4, "tasks": 0, "workers": workers}
+    recorded = dm.record("grid_world", "tiny", settings={"clips": str(folder)}, workspace=there, **small)
+    assert recorded.dataset == there / "data" / "grid_world-tiny"
+    assert [file.parent for file in tmp_path.rglob("*.safetensors")] == [there / "clips"]
+    with pytest.raises(InvalidSetting, match="are not here"):
+        environment_facts(Dataset.open(recorded.dataset).recipe)  # after the call it is the process's own again
 
 
 @pytest.mark.slow

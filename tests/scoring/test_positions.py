@@ -128,6 +128,16 @@ def test_a_search_in_boxes_is_a_search_of_pictures_that_are_black_outside() -> N
     assert 0 < found.found.sum() < 24
 
 
+def test_things_of_one_pixel_and_lines_extend_over_their_pixels_in_a_small_picture() -> None:
+    frame = torch.zeros(1, 10, 12, 3, dtype=torch.uint8)
+    for color, place in zip(COLORS[:3], ((3, 7), (5, slice(2, 6)), (slice(6, 9), 10)), strict=True):
+        frame[0][place] = torch.tensor(color, dtype=torch.uint8)
+    frame[0, 1:3, 0:3] = torch.tensor(COLORS[3], dtype=torch.uint8)
+    frame[0, 9, 0] = torch.tensor(COLORS[3], dtype=torch.uint8)  # a stray one
+    _, extents = PositionFinder(spec_of(COLORS, 10, 12)).find_extents(frame)
+    assert extents[0].tolist() == [[[7, 7], [3, 3]], [[2, 5], [5, 5]], [[10, 10], [6, 8]], [[0, 2], [1, 2]]]
+
+
 def test_boxes_for_more_colours_than_a_word_has_fields() -> None:
     hues = [colorsys.hsv_to_rgb(place / 12, 1, 1) for place in range(12)]
     colors = tuple(tuple(round(255 * part) for part in hue) for hue in hues)

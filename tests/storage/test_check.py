@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from failing_disk import lost
 from noise_world import assert_same_episode, files_of, noise_episode, noise_lengths, noise_spec, write_noise
 
 from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch
@@ -105,6 +106,35 @@ def test_of_a_truncated_shard_the_first_episodes_are_kept(tmp_path: Path) -> Non
     file = dataset.path / "video" / "shard-00001.mcap"
     file.write_bytes(file.read_bytes()[: end.offset + end.size + 10])
     assert salvage(dataset.path).lost == (5,)
+
+
+@pytest.mark.parametrize("kind", ["video", "labels"])
+@pytest.mark.parametrize("table", [True, False], ids=["table", "no table"])
+def test_of_bytes_that_the_disk_cannot_read_only_their_episode_is_lost(tmp_path: Path, kind: str, table: bool) -> None:
+    dataset = write_noise(tmp_path / "d")
+    span = dataset.rows[4].video if kind == "video" else dataset.rows[4].states
+    middle = span.offset + span.size // 2
+    if not table:
+        (dataset.path / "episodes.parquet").unlink()
+
+    with lost(dataset.path / kind / "shard-00001.mcap", range(middle, middle + 1)):
+        damages = {damage.file: damage.what for damage in check_dataset(dataset.path).damages}
+        done = repair_dataset(dataset.path)
+
+    assert damages[f"{kind}/shard-00001.mcap"] == "cannot be read from the disk: Input/output error"
+
+    assert done.salvaged is not None
+    assert done.salvaged.lost == (4,)
+    assert check_dataset(dataset.path).damages == ()
+
+
+def test_a_table_that_the_disk_cannot_read_is_made_again(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d").path
+    before = files_of(path)
+    with lost(path / "episodes.parquet", range(10, 11)):
+        assert "cannot be read from the disk" in check_dataset(path).damages[0].what
+        assert repair_dataset(path).how == "restored"
+    assert files_of(path) == before
 
 
 def test_without_labels_the_video_is_salvaged(tmp_path: Path) -> None:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -59,6 +61,40 @@ def test_the_process_loads_no_simulators_interface(tmp_path: Path) -> None:
     loaded = told.read_text().split()
     assert "dmotion_bench.storage.imports.sources" in loaded
     assert "gymnasium" not in loaded
+
+
+@pytest.mark.parametrize("waits", [False, True])
+@pytest.mark.parametrize(
+    ("does", "sentence"),
+    [
+        (
+            "import nothing_here",
+            r"'/nowhere/any' ended before it read anything \(code 1\); .* says why: .*nothing_here",
+        ),
+        (
+            "import os, resource; resource.setrlimit(resource.RLIMIT_CORE, (0, 0)); os.abort()",
+            r"'/nowhere/any' makes its decoder crash \(SIGABRT\)",
+        ),
+    ],
+)
+def test_a_process_that_ends_at_once_is_a_sentence(
+    does: str, sentence: str, waits: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if waits:  # it is gone before anything is sent to it
+        monkeypatch.setattr("dmotion_bench.storage.imports.confinement.subprocess.Popen", Ended)
+    with Confinement(OPTIONS, (sys.executable, "-c", does)) as confinement:
+        for _ in range(2):
+            with pytest.raises(RecordingImportError, match=sentence):
+                opened(confinement, "any")
+            confinement.close()
+
+
+class Ended(subprocess.Popen[bytes]):
+    """A process that has ended once it is started."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        super().__init__(*given, **named)
+        self.wait()
 
 
 @pytest.mark.slow

@@ -44,7 +44,8 @@ class CrossEntropy:
         kept_elites: How many of the best sequences stay candidates at the next iteration and, shifted, at the next
             step.
         step_discount: Added to a step's cost, as a share of it, for each step before it: of two sequences that come
-            equally near, the one that does so sooner is better.
+            equally near, the one that does so sooner is better. A cost below zero is divided by the same factor, so
+            that it, too, is worth less the later it is reached.
         cost_at: Which steps a sequence's cost is of: ``"best"``, ``"last"``, or ``"sum"`` of all.
         hold: Steps that each drawn action is held for: with 3 a sequence of 15 actions has five to choose.
         replan_every: Actions of a plan that are carried out before the next search; the paper's 1 searches at every
@@ -155,7 +156,11 @@ class CrossEntropy:
         return chosen if self.hold == 1 else chosen.repeat(self.hold, axis=2)[:, :, : self.horizon]
 
     def _discounted(self, costs: Float[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t"]:
-        return costs * (1 + self.step_discount * np.arange(costs.shape[2])) if self.step_discount else costs
+        if not self.step_discount:
+            return costs
+        factor = 1 + self.step_discount * np.arange(costs.shape[2])
+        discounted: Float[np.ndarray, "b s t"] = np.where(costs < 0, costs / factor, costs * factor)
+        return discounted
 
     def _warm_start(self, dynamics: Dynamics, context: PlanContext, sought: Search) -> Ranked:
         """The best sequences of the step before, shifted by one action, and what they cost now."""
@@ -166,5 +171,6 @@ class CrossEntropy:
         costs = self._of_sequences(sought.costs(before))
         if isinstance(actions, Continuous):
             return before, costs
-        refused = np.take_along_axis(context.blocked, before[:, :, 0], axis=1)
+        blocked = context.blocked & ~context.blocked.all(axis=1, keepdims=True)  # of them one must be taken
+        refused = np.take_along_axis(blocked, before[:, :, 0], axis=1)
         return before, np.where(refused, np.inf, costs)

@@ -128,7 +128,7 @@ def main(opened: Open) -> None:
     os.dup2(nowhere, 1)
     try:
         Reader(sys.stdin.buffer, answers, opened).serve()
-    except BrokenPipeError:  # the import has ended
+    except (BrokenPipeError, Hungup):  # the import has ended
         os._exit(0)
 
 

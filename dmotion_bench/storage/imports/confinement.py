@@ -11,6 +11,7 @@ import contextlib
 import dataclasses
 import importlib.util
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -49,6 +50,7 @@ class Confinement:
         self.options, self._command = options, command
         self._process: subprocess.Popen[bytes] | None = None
         self._opened = 0
+        self._answered = False
 
     def open(self, path: Path, kind: str) -> ConfinedRecording:
         """A recording of the kind that ``sources`` calls so.
@@ -80,9 +82,12 @@ class Confinement:
         Raises:
             RecordingImportError: The reader is gone, or cannot be started here.
         """
+        is_new = self._process is None
         if self._process is None:
-            self._process = self._start(path)
+            self._process, self._answered = self._start(path), False
         try:
+            if is_new:
+                send(_pipe(self._process.stdin), {"options": dataclasses.asdict(self.options)})
             send(_pipe(self._process.stdin), request, body)
         except OSError:
             raise self._gone(path) from None
@@ -100,6 +105,7 @@ class Confinement:
             head, body = receive(_pipe(self._process.stdout), most=most)
         except (Hungup, OSError, ValueError):
             raise self._gone(path) from None
+        self._answered = True
         if "error" in head:
             raise _KINDS.get(head["error"], RecordingImportError)(_printable(head["sentence"]))
         if "no_memory" in head:
@@ -130,15 +136,13 @@ class Confinement:
         source = str(Path(dmotion_bench.__file__).parents[1])  # found there even if it was never installed
         paths = [source, *filter(None, [os.environ.get("PYTHONPATH")])]
         own = {"PYTHONPATH": os.pathsep.join(paths), "ARROW_DEFAULT_MEMORY_POOL": "system", CONFINED: "1"}
-        process = subprocess.Popen(
+        return subprocess.Popen(
             self._command,
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,  # FFmpeg's and its encoders' chatter
             env=os.environ | own,
         )
-        send(_pipe(process.stdin), {"options": dataclasses.asdict(self.options)})
-        return process
 
     def _end(self) -> int:
         """Close the pipes and wait for the process."""
@@ -160,6 +164,11 @@ class Confinement:
         if code in (-signal.SIGKILL, -signal.SIGTERM):
             return RecordingImportError(f"reading {str(path)!r} was stopped from outside; the machine may lack memory.")
         how = signal.Signals(-code).name if code < 0 else f"code {code}"
+        if code >= 0 and not self._answered:  # whatever goes wrong with a file is an answer
+            return RecordingImportError(
+                f"the process that was to read {str(path)!r} ended before it read anything ({how}); it may not start "
+                f"here, and this command says why: {shlex.join(self._command)} < {os.devnull}"
+            )
         return RecordingImportError(f"{str(path)!r} makes its decoder crash ({how}): it is damaged, or made to do so.")
 
     def _too_large(self, path: Path) -> RecordingImportError:

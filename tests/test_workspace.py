@@ -1,0 +1,61 @@
+"""Which workspace is the current one."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import dmotion_bench as dm
+from dmotion_bench.errors import UsageError
+from dmotion_bench.execution.local_executor import LocalExecutor
+from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
+
+
+@in_workspace
+def current(*, workspace: AnyPath | None = None, depth: int = 0) -> Path:
+    return current(depth=depth - 1) if depth else Workspace.current().root
+
+
+@pytest.fixture(autouse=True)
+def _own(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DMBENCH_WORKSPACE", "own")
+
+
+def test_a_call_is_in_the_workspace_that_it_names() -> None:
+    assert current() == Path("own")
+    assert current(workspace="named") == Path("named")
+    assert current(workspace="named", depth=2) == Path("named")
+    assert current() == Path("own")
+
+
+def test_an_error_leaves_the_workspace() -> None:
+    @in_workspace
+    def failing(*, workspace: AnyPath | None = None) -> None:
+        raise ZeroDivisionError(str(Workspace.current().root))
+
+    with pytest.raises(ZeroDivisionError, match="named"):
+        failing(workspace="named")
+    assert current() == Path("own")
+
+
+def test_another_thread_has_its_own() -> None:
+    with Workspace("named").entered(), ThreadPoolExecutor(1) as other:
+        assert other.submit(current).result() == Path("own")
+
+
+def root(_: int) -> str:
+    return str(Workspace.current().root)
+
+
+def test_jobs_are_done_in_the_workspace_of_whoever_gives_them(tmp_path: Path) -> None:
+    executor = LocalExecutor(1)
+    assert list(executor.map_unordered(root, [0])) == [str(Path("own").absolute())]
+    with Workspace(tmp_path).entered():
+        assert list(executor.map_unordered(root, [0])) == [str(tmp_path)]
+
+
+def test_what_is_no_path_is_a_sentence() -> None:
+    with pytest.raises(UsageError, match="5 stands for no workspace; give one name, or one path"):
+        dm.record("grid_world", "tiny", workspace=5)  # type: ignore[arg-type]

@@ -161,17 +161,6 @@ def test_blocked_actions_are_not_taken(name: str) -> None:
     same(free, Walks((0, 1, 2)).plan(solver_of(name), context(3, blocked=np.ones((3, 4), np.bool_))))
 
 
-@pytest.mark.parametrize("name", ["icem", "all variations"])
-def test_where_all_actions_are_blocked_what_was_best_is_tried_again(name: str) -> None:
-    memory = Walks((0, 1, 2)).plan(solver_of(name), context(3)).memory
-    assert memory is not None
-    free, none_left = (
-        Walks((0, 1, 2)).plan(solver_of(name), context(3, seed=1, memory=memory, blocked=np.full((3, 4), blocked)))
-        for blocked in (False, True)
-    )
-    same(free, none_left)
-
-
 @pytest.mark.parametrize("cost", [-2.0, 0.0, 3.0])
 def test_of_equal_costs_the_sooner_one_is_better_whatever_their_sign(cost: float) -> None:
     solver = CrossEntropy(horizon=4, step_discount=0.5)

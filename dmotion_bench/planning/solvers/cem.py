@@ -171,6 +171,5 @@ class CrossEntropy:
         costs = self._of_sequences(sought.costs(before))
         if isinstance(actions, Continuous):
             return before, costs
-        blocked = context.blocked & ~context.blocked.all(axis=1, keepdims=True)  # of them one must be taken
-        refused = np.take_along_axis(blocked, before[:, :, 0], axis=1)
+        refused = np.take_along_axis(context.blocked, before[:, :, 0], axis=1)
         return before, np.where(refused, np.inf, costs)

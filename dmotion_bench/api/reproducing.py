@@ -106,7 +106,7 @@ def reproduce(
     any number of workers.
 
     Args:
-        table: A registered name (``"paper"``, ``"control"``, ``"labels"``), or a table of your own.
+        table: A registered name (``"paper"``, ``"control"``, ``"continuous"``, ``"labels"``), or a table of your own.
         preset: Size of recordings and trainings; the table's by default.
         seeds, models, worlds: A part of the table.
         executor: Where jobs run: ``"local"``, ``"ray"`` or ``"slurm"``.
@@ -265,7 +265,7 @@ class _Work:
         for reference in column.references:
             places = control_places(state)
             if places:
-                self._references(reference, [(one.place.folder, one.control) for one in places])
+                self._references(reference, column, [(one.place.folder, one.control) for one in places])
         part = f"scoring {column.name}"
         total, done = len(state.to_score), 0
         for scoring in self.plan.of_column(column):
@@ -307,22 +307,23 @@ class _Work:
         if (page := folder / "index.html").is_file():
             self.pages.append(page)
 
-    def _references(self, name: str, places: Sequence[tuple[Path, ControlScoring]]) -> None:
+    def _references(self, name: str, column: Column, places: Sequence[tuple[Path, ControlScoring]]) -> None:
+        part = f"control by {name} for {column.name}"
         with self._executing(len(places)) as (executor, folder):
             jobs = [
                 ReferenceJob(name=name, data=data.absolute(), scoring=scoring, progress=folder / f"{number}.json")
                 for number, (data, scoring) in enumerate(places)
             ]
-            self.watch.count(f"control by {name}", 0, len(jobs))
+            self.watch.count(part, 0, len(jobs))
             results = executor.map_unordered(score_reference_job, jobs)
             with watching(folder, self.watch.jobs), contextlib.closing(results):
                 try:
                     for done, failure in enumerate(results, start=1):
-                        self.watch.count(f"control by {name}", done, len(jobs))
+                        self.watch.count(part, done, len(jobs))
                         if failure:
-                            self._note_failure(f"control by {name}", failure)
+                            self._note_failure(part, failure)
                 except JobsLost as lost:
-                    self._note_failure(f"control by {name}", str(lost))
+                    self._note_failure(part, str(lost))
 
     @contextlib.contextmanager
     def _executing(self, jobs: int) -> Iterator[tuple[Executor, Path]]:

@@ -15,7 +15,7 @@ from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
 from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of, whole
 from dmotion_bench.api.side_by_side import THREADS, Hands, score_at_once
-from dmotion_bench.errors import DmbenchError, JobsLost
+from dmotion_bench.errors import DmbenchError, JobsLost, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile, jobs_folder, watching
@@ -32,7 +32,8 @@ from dmotion_bench.scoring.control import ControlScoring, score_reference
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.wording import shown
+from dmotion_bench.workspace import AnyPath, Workspace, as_path
 
 _LOG = logging.getLogger(__name__)
 
@@ -156,6 +157,8 @@ def plan_table(
         UnknownName, UsageError: A name that is not registered or not in the table, or nothing is left of it.
         RecipeMismatch: The folder of a data set holds another one.
     """
+    if not isinstance(table, str | Table):
+        raise UsageError(f"{shown(table)} is no table; give a table's name, such as 'paper', or a Table.")
     name = table if isinstance(table, str) else "own"
     known = table_named(table) if isinstance(table, str) else table
     narrowed = known.narrowed(
@@ -184,7 +187,8 @@ def what_it_costs(
     """
     require_one_of("device", hands.device, DEVICES)
     device = compute_device("auto" if hands.on_cluster and hands.device == "cuda" else hands.device)
-    return cost_of(plan, Speeds(device=device, announce=announce, stored=None if speeds is None else Path(speeds)))
+    stored = None if speeds is None else as_path("file of speeds", speeds)
+    return cost_of(plan, Speeds(device=device, announce=announce, stored=stored))
 
 
 def make(plan: Plan, cost: Cost, hands: Hands, watch: Watch | None = None) -> Reproduced:

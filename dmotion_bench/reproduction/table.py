@@ -266,7 +266,7 @@ def _plain(seed: Any) -> Any:
 def _chosen(kind: str, asked: Sequence[str] | None, given: Sequence[Kept], names: Sequence[str]) -> tuple[Kept, ...]:
     if asked is None:
         return tuple(given)
-    asked = [asked] if isinstance(asked, str) else asked
+    asked = [asked] if isinstance(asked, str) or not isinstance(asked, Iterable) else [*asked]
     if not asked:
         raise UsageError(f"no {kind} is named; name at least one: {', '.join(dict.fromkeys(names))}.")
     for name in asked:

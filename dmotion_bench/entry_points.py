@@ -80,7 +80,7 @@ def add(group: str, name: str, what: object) -> None:
     Raises:
         UsageError: A package has registered this name, or it cannot be a part of a folder's name.
     """
-    if not _NAME.fullmatch(name):
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
         raise UsageError(
             f"{shown(name)} cannot be a name here; it has at most 100 letters, digits, dots, dashes and underscores, "
             "the first of them a letter or a digit."

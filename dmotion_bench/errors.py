@@ -92,7 +92,7 @@ class UnknownName(UsageError):
 
     def __init__(self, kind: str, name: str, known: Iterable[str], listing: str = "", registering: str = "") -> None:
         self.kind, self.name, self.known = kind, name, sorted(known)
-        near = difflib.get_close_matches(name, self.known, n=1)
+        near = difflib.get_close_matches(str(name), self.known, n=1)  # Python passes what is no text, too
         if near:
             hint = f"did you mean {shown(near[0])}?"
             if not listing and len(self.known) <= _SAID_AT_MOST:

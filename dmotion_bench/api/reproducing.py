@@ -15,7 +15,7 @@ from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
 from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of, whole
 from dmotion_bench.api.side_by_side import THREADS, Hands, score_at_once
-from dmotion_bench.errors import DmbenchError, JobsLost
+from dmotion_bench.errors import DmbenchError, JobsLost, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile, jobs_folder, watching
@@ -32,7 +32,8 @@ from dmotion_bench.scoring.control import ControlScoring, score_reference
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
-from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
+from dmotion_bench.wording import shown
+from dmotion_bench.workspace import AnyPath, Workspace, as_path, in_workspace
 
 _LOG = logging.getLogger(__name__)
 
@@ -107,7 +108,7 @@ def reproduce(
     any number of workers.
 
     Args:
-        table: A registered name (``"paper"``, ``"control"``, ``"labels"``), or a table of your own.
+        table: A registered name (``"paper"``, ``"control"``, ``"continuous"``, ``"labels"``), or a table of your own.
         preset: Size of recordings and trainings; the table's by default.
         seeds, models, worlds: A part of the table.
         executor: Where jobs run: ``"local"``, ``"ray"`` or ``"slurm"``.
@@ -158,6 +159,8 @@ def plan_table(
         UnknownName, UsageError: A name that is not registered or not in the table, or nothing is left of it.
         RecipeMismatch: The folder of a data set holds another one.
     """
+    if not isinstance(table, str | Table):
+        raise UsageError(f"{shown(table)} is no table; give a table's name, such as 'paper', or a Table.")
     name = table if isinstance(table, str) else "own"
     known = table_named(table) if isinstance(table, str) else table
     narrowed = known.narrowed(
@@ -186,7 +189,8 @@ def what_it_costs(
     """
     require_one_of("device", hands.device, DEVICES)
     device = compute_device("auto" if hands.on_cluster and hands.device == "cuda" else hands.device)
-    return cost_of(plan, Speeds(device=device, announce=announce, stored=None if speeds is None else Path(speeds)))
+    stored = None if speeds is None else as_path("file of speeds", speeds)
+    return cost_of(plan, Speeds(device=device, announce=announce, stored=stored))
 
 
 def make(plan: Plan, cost: Cost, hands: Hands, watch: Watch | None = None) -> Reproduced:
@@ -267,7 +271,7 @@ class _Work:
         for reference in column.references:
             places = control_places(state)
             if places:
-                self._references(reference, [(one.place.folder, one.control) for one in places])
+                self._references(reference, column, [(one.place.folder, one.control) for one in places])
         part = f"scoring {column.name}"
         total, done = len(state.to_score), 0
         for scoring in self.plan.of_column(column):
@@ -309,22 +313,23 @@ class _Work:
         if (page := folder / "index.html").is_file():
             self.pages.append(page)
 
-    def _references(self, name: str, places: Sequence[tuple[Path, ControlScoring]]) -> None:
+    def _references(self, name: str, column: Column, places: Sequence[tuple[Path, ControlScoring]]) -> None:
+        part = f"control by {name} for {column.name}"
         with self._executing(len(places)) as (executor, folder):
             jobs = [
                 ReferenceJob(name=name, data=data.absolute(), scoring=scoring, progress=folder / f"{number}.json")
                 for number, (data, scoring) in enumerate(places)
             ]
-            self.watch.count(f"control by {name}", 0, len(jobs))
+            self.watch.count(part, 0, len(jobs))
             results = executor.map_unordered(score_reference_job, jobs)
             with watching(folder, self.watch.jobs), contextlib.closing(results):
                 try:
                     for done, failure in enumerate(results, start=1):
-                        self.watch.count(f"control by {name}", done, len(jobs))
+                        self.watch.count(part, done, len(jobs))
                         if failure:
-                            self._note_failure(f"control by {name}", failure)
+                            self._note_failure(part, failure)
                 except JobsLost as lost:
-                    self._note_failure(f"control by {name}", str(lost))
+                    self._note_failure(part, str(lost))
 
     @contextlib.contextmanager
     def _executing(self, jobs: int) -> Iterator[tuple[Executor, Path]]:

@@ -318,5 +318,5 @@ def compute_device(device: str) -> torch.device:
     """
     require_one_of("device", device, DEVICES)
     if device == "cuda" and not torch.cuda.is_available():
-        raise UsageError("this machine has no CUDA device; leave out --device to score on the CPU.")
+        raise UsageError("this machine has no CUDA device; leave out --device to compute on the CPU.")
     return torch.device("cuda" if device != "cpu" and torch.cuda.is_available() else "cpu")

@@ -31,7 +31,16 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath, AnyPaths, Workspace, in_workspace, listed
+from dmotion_bench.workspace import (
+    DATASET_MANIFEST,
+    RUN_MANIFEST,
+    AnyPath,
+    AnyPaths,
+    Workspace,
+    as_path,
+    in_workspace,
+    listed,
+)
 
 _HASH: Final = re.compile(r"([0-9a-f]{8,64})(?:/([0-9a-f]{8,64}))?")
 
@@ -190,9 +199,8 @@ def pull_entries(
 
 def _listed(things: AnyPaths) -> list[AnyPath]:
     """One thing after the other; a folder of entries stands for those of its entries that were measured."""
-    return [
-        one for thing in listed(things) for one in (_measured(Path(thing)) if _holds_entries(Path(thing)) else [thing])
-    ]
+    paths = [(thing, as_path("run, data set, entry or hash", thing)) for thing in listed(things)]
+    return [one for thing, path in paths for one in (_measured(path) if _holds_entries(path) else [thing])]
 
 
 def _some(things: AnyPaths) -> list[AnyPath]:

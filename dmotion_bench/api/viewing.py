@@ -133,7 +133,7 @@ def view(
         require_one_of("split", split, SPLITS)
     steps = whole("steps", steps, 1)
     episodes = _numbers_of(episodes)
-    file = None if save is None else Path(save)
+    file = None if save is None else as_path("file", save)
     if file is not None and file.suffix not in (".rrd", *ANIMATED):
         raise UsageError(
             f"save {str(file)!r} must end in .rrd for Rerun, or in .gif or .webp for an animation of runs."

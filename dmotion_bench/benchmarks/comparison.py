@@ -77,7 +77,8 @@ def read_stored(path: Path) -> Stored:
     except (OSError, JsonUnreadable, ValueError) as error:
         why = error.strerror if isinstance(error, OSError) else error
         raise UsageError(
-            f"{shown(str(path))} cannot be compared with: {why}; make such a file with 'dmbench bench --json > FILE'."
+            f"{shown(str(path))} is no output of 'dmbench bench': {why}; make such a file with "
+            "'dmbench bench --json > FILE'."
         ) from None
 
 

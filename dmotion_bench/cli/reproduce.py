@@ -140,12 +140,11 @@ def _watching() -> Iterator[Watch]:
     from dmotion_bench.api.reproducing import Watch
     from dmotion_bench.cli.progress import note, progress_bar
 
-    parts: dict[str, TaskID] = {}
+    parts: dict[str, TaskID] = {}  # the part that was counted last comes last: running jobs are its
     with progress_bar() as bar:
 
         def count(part: str, done: int, total: int) -> None:
-            if part not in parts:
-                parts[part] = bar.add_task(part, total=total)
+            parts[part] = parts.pop(part) if part in parts else bar.add_task(part, total=total)
             bar.update(parts[part], completed=done, total=total)
 
         def jobs(running: Mapping[str, JobProgress]) -> None:

@@ -31,6 +31,7 @@ from dmotion_bench.recording.failures import guarded
 from dmotion_bench.recording.rollout import make_environment
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, ObjectStates, delay_of
+from dmotion_bench.storage.manifest import setting_words
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.storage.tasks import ControlTask
 from dmotion_bench.wording import command
@@ -183,11 +184,11 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
         UnknownName: There is no task of a number asked for.
         LabelsNotAvailable: ``labels/`` is not there; the recorded actions are in it.
     """
-    tasks = dataset.tasks()
+    tasks, recipe = dataset.tasks(), dataset.recipe
     if not tasks:
         raise DatasetError(
             f"{dataset.name!r} stores no control tasks; record a data set with some: "
-            f"{command('dmbench record', dataset.recipe.environment, '--tasks', '20')}."
+            f"{command('dmbench', 'record', recipe.environment, *setting_words(recipe), '--tasks', '20')}."
         )
     if numbers is None or isinstance(numbers, int):
         numbers = range(len(tasks) if numbers is None else min(numbers, len(tasks)))

@@ -230,7 +230,7 @@ class Table:
 
         Raises:
             UnknownName: A model or a world that it does not have.
-            UsageError: Nothing is left of it, or a seed cannot be one.
+            UsageError: No model or world is named, nothing is left of it, or a seed cannot be one.
         """
         entrants = _chosen("model of this table", models, self.entrants, [one.model for one in self.entrants])
         kept = _chosen("world of this table", worlds, self.worlds, [one.label for one in self.worlds])
@@ -266,7 +266,9 @@ def _plain(seed: Any) -> Any:
 def _chosen(kind: str, asked: Sequence[str] | None, given: Sequence[Kept], names: Sequence[str]) -> tuple[Kept, ...]:
     if asked is None:
         return tuple(given)
-    asked = [asked] if isinstance(asked, str) else asked
+    asked = [asked] if isinstance(asked, str) or not isinstance(asked, Iterable) else [*asked]
+    if not asked:
+        raise UsageError(f"no {kind} is named; name at least one: {', '.join(dict.fromkeys(names))}.")
     for name in asked:
         if name not in names:
             raise UnknownName(kind, name, names)

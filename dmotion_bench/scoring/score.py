@@ -282,8 +282,9 @@ def scored_data(
     if column is not None:
         if dataset.fingerprint == run.spec.fingerprint:
             raise InvalidSetting(
-                f"the tasks of {dataset.name!r} lie in episodes that {run.name!r} was trained on; score a column on "
-                f"another data set with '--data', and record one with {words_of_test(dataset.recipe)}."
+                f"a column takes tasks in episodes that are new to a run, and {dataset.name!r} is what {run.name!r} "
+                f"was trained on; score a column on another data set with '--data', and record one with "
+                f"{words_of_test(dataset.recipe)}."
             )
         require_fitting_tasks(dataset)
         column_named(column).require_suited(dataset.spec)  # before a folder is made for it

@@ -60,9 +60,11 @@ def find(place: Place, beginning: str) -> tuple[Kind, str]:
         UsageError: Several things.
     """
     kinds: tuple[tuple[Kind, str], ...] = (("data set", DATASETS), ("run", RUNS))
-    found = [(kind, name) for kind, folder in kinds for name in _hashes(place, folder) if name.startswith(beginning)]
+    standing = [(kind, name) for kind, folder in kinds for name in _hashes(place, folder)]
+    found = [(kind, name) for kind, name in standing if name.startswith(beginning)]
     if not found:
-        raise UnknownName("fingerprint", beginning, [], command("dmbench share list", place.address).strip("'"))
+        known = [name[:16] for _, name in standing]
+        raise UnknownName("fingerprint", beginning, known, command("dmbench share list", place.address).strip("'"))
     if len(found) > 1:
         listed = ", ".join(f"{kind} {name[:16]}" for kind, name in found[:8])
         raise UsageError(f"several things begin with {beginning!r}: {listed}; write more of the one that you mean.")

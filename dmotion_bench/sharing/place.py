@@ -19,7 +19,7 @@ from dmotion_bench.storage.limits import LONGEST_NAME
 from dmotion_bench.storage.object_store import ObjectStore
 from dmotion_bench.storage.shard import FileFacts
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath
+from dmotion_bench.workspace import AnyPath, as_path
 
 RUNS: Final = "runs"
 DATASETS: Final = "datasets"
@@ -63,6 +63,7 @@ def open_place(given: AnyPath) -> Place:
     Raises:
         UsageError: There can be no such place.
     """
+    as_path("place to share in", given)
     if (address := remote_address(given)) is not None:
         return StoragePlace(address)
     text = os.fspath(given)

@@ -225,14 +225,18 @@ def record_words(recipe: DatasetRecipe, dataset: Path | str) -> list[str]:
     words = ["dmbench", "record", recipe.environment]
     for name in ("episodes", "frames", "tasks", "seed"):
         words += [f"--{name}", str(getattr(recipe, name))]
-    if recipe.vary:
-        words += ["--vary", ",".join(recipe.vary)]
+    return [*words, *setting_words(recipe), "--out", str(dataset)]
+
+
+def setting_words(recipe: DatasetRecipe) -> list[str]:
+    """Of such a command, the options that are not about the size of the data set."""
+    words = ["--vary", ",".join(recipe.vary)] if recipe.vary else []
     if recipe.policy != usual_policy(recipe.environment):
         words += ["--policy", recipe.policy]
     version = {VERSION: recipe.version} if environment_versions(recipe.environment) else {}
     for key, value in (version | dict(recipe.parameters)).items():
         words += ["--ranges", str(value)] if key == "ranges" else ["--set", f"{key}={value}"]
-    return [*words, "--out", str(dataset)]
+    return words
 
 
 def _check_format(found: object, dataset: Path) -> None:

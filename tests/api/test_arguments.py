@@ -13,6 +13,7 @@ from api.test_use_cases import bytes_of
 
 import dmotion_bench as dm
 from dmotion_bench.errors import DmbenchError, UsageError
+from dmotion_bench.registry import model_class
 
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a true seed": (lambda: dm.record("grid_world", "tiny", seed=True, out="new"), "seed is True; it must be a whole"),
@@ -74,6 +75,16 @@ OTHER_KINDS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: dm.leaderboard_build("tiny", out="data/grid_world-tiny/dataset.json"),
         "dataset.json' is a file; name a folder for the page",
     ),
+    "a number as a split": (lambda: dm.open_dataset().split(1), "no split named 1; known: test, train"),  # type: ignore[arg-type]
+    "a number as a file": (lambda: dm.view("tiny", save=5), "5 stands for no file; give one name"),  # type: ignore[arg-type]
+    "a number to publish": (lambda: dm.share_push(5, "new"), "5 stands for no run, data set, entry or hash"),  # type: ignore[arg-type]
+    "a number to fetch": (lambda: dm.share_pull(5, "new"), "5 stands for no run, data set, entry or hash"),  # type: ignore[arg-type]
+    "no place": (lambda: dm.share_push("tiny", None), "None stands for no place to share in"),  # type: ignore[arg-type]
+    "a number as a name": (lambda: dm.register_model(5, model_class("lapo")), "5 cannot be a name here"),  # type: ignore[arg-type]
+    "a number as a table": (lambda: dm.reproduce(5, dry_run=True), "5 is no table; give a table's name"),  # type: ignore[arg-type]
+    "a number of models": (lambda: dm.reproduce("paper", models=5), "no model of this table named 5; known"),  # type: ignore[arg-type]
+    "a number as a world": (lambda: dm.reproduce("paper", worlds=[5]), "no world of this table named 5; known"),  # type: ignore[list-item]
+    "a number as speeds": (lambda: dm.reproduce("paper", speeds=5, dry_run=True), "5 stands for no file of speeds"),  # type: ignore[arg-type]
     "a split's protocol": (
         lambda: dm.open_dataset().triplets("test", protocol="Paper"),  # type: ignore[arg-type]
         "no protocol named 'Paper'; did you mean 'paper'",

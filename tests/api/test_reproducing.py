@@ -20,6 +20,7 @@ from small_tables import CONTROL, TABLE, Known
 import dmotion_bench as dm
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
+from dmotion_bench.cli import progress, reproduce
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.runs.run import Run
@@ -287,6 +288,19 @@ def test_a_data_set_of_another_recipe_is_not_taken(tmp_path: Path) -> None:
     assert Dataset.open(other.dataset).recipe.seed == 1
 
 
+def test_jobs_that_run_stand_beside_the_part_that_was_counted_last(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.delenv(progress.QUIET)
+    monkeypatch.setattr(progress, "FIRST_SECONDS", 0.0)
+    monkeypatch.setattr(progress, "SECONDS", 0.0)
+    with reproduce._watching() as watch:
+        for part in ("control", "scoring", "control"):
+            watch.count(part, 0, 1)
+        watch.jobs({"1": JobProgress(what="a job", done=1, total=4)})
+    assert capsys.readouterr().err.splitlines()[-1] == "control: 0 of 1, a job 25%"
+
+
 def test_trainings_that_fail_in_two_worlds_are_two_failures() -> None:
     plan: Any = SimpleNamespace(workspace=None)
     work = reproducing._Work(plan, reproducing.Hands(), reproducing.Watch())
@@ -305,6 +319,8 @@ def test_trainings_that_fail_in_two_worlds_are_two_failures() -> None:
         ({"workers": "2"}, "workers is '2'; it must be a whole number"),
         ({"executor": "slrum"}, "no executor named 'slrum'; did you mean 'slurm'"),
         ({"seeds": [-1]}, "a seed is -1"),
+        ({"models": []}, "no model of this table is named; name at least one: lapo, ed-cnn"),
+        ({"worlds": []}, "no world of this table is named; name at least one: grid_world"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_recorded(given: dict[str, Any], said: str, tmp_path: Path) -> None:

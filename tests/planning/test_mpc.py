@@ -300,8 +300,9 @@ def test_mistakes_get_sentences(dataset: Dataset, tmp_path: Path) -> None:
             ControlScoring(**wrong)
         with pytest.raises(InvalidSetting, match=next(iter(wrong))):
             ControlSettings(**wrong)
-    record_dataset(tmp_path / "none", DatasetRecipe(environment="grid_world", episodes=2, frames=4))
-    with pytest.raises(DatasetError, match="'dmbench record grid_world --tasks 20'"):
+    random = DatasetRecipe(environment="grid_world", policy="random", episodes=2, frames=4)
+    record_dataset(tmp_path / "none", random)
+    with pytest.raises(DatasetError, match="'dmbench record grid_world --set version=1 --tasks 20'"):
         load_problems(Dataset.open(tmp_path / "none"))
     model = PerfectGridModel()
     model.inputs = type(model.inputs)(height=128, width=128, actions=Discrete.numbered(2))

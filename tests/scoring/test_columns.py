@@ -141,7 +141,10 @@ def test_what_a_column_is_not_for_is_said(make_run: MakeRun, grid: Dataset, task
     run = make_run(tmp_path / "run")
     column = ScoreSettings(control=ControlScoring(column="generic"))
 
-    with pytest.raises(InvalidSetting, match=r"trained on; score a column on another data set.*record grid_world"):
+    with pytest.raises(
+        InvalidSetting,
+        match=r"new to a run, and .* was trained on; score a column on another data set.*record grid_world",
+    ):
         score_run(run.path, metrics=None, settings=column)
     with pytest.raises(InvalidSetting, match="of control alone; leave out"):
         score_run(run.path, metrics=("prediction", "control"), settings=column, data=tasks.path)

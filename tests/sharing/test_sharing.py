@@ -269,8 +269,10 @@ def test_wrong_words_for_places_and_hashes(workspace: Workspace, folder: Publish
         dm.share_push("known", "")
     with pytest.raises(UsageError, match="neither an entry's file nor a hash"):
         dm.share_pull("known", folder.address)
-    with pytest.raises(UnknownName, match="no fingerprint named '00000000'"):
-        dm.share_pull("00000000", folder.address)
+    some = dm.share_list(folder.address)[0].fingerprint[:16]
+    for place, known in ((folder.address, some), (tmp_path / "nowhere", "none is known here")):
+        with pytest.raises(UnknownName, match=f"no fingerprint named '00000000'; .*{known}.*dmbench share list"):
+            dm.share_pull("00000000", place)
     assert dm.share_list(tmp_path / "nowhere") == []
     same = workspace.runs / "noise"
     shutil.copytree(workspace.runs / "known", same)

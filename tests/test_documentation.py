@@ -193,6 +193,6 @@ def test_the_readmes_road_leads_from_nothing_to_a_report_and_a_recording(
     assert report["figures"]["mse"]["n"] == 2 * 10
     run("view", trained["run"], "--save", str(tmp_path / "run.rrd"))
     assert (tmp_path / "run.rrd").stat().st_size > 10_000
-    for kind in ("environments", "models", "datasets", "runs"):
+    for kind in ("environments", "models", "columns", "datasets", "runs"):
         assert json.loads(run("list", kind, "--json").out)[kind]
     assert json.loads(run("info", "--json").out)["runs"] == [Path(trained["run"]).name]

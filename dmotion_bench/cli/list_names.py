@@ -1,4 +1,4 @@
-"""``dmbench list``: the environments, models, data sets and runs that commands can be given."""
+"""``dmbench list``: the environments, models, columns, data sets and runs that commands can be given."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from dmotion_bench.environment import RecordingPreset
     from dmotion_bench.specs import Preset
 
-listing = typer.Typer(help="List environments, models, data sets and runs.", no_args_is_help=True)
+listing = typer.Typer(help="List environments, models, columns, data sets and runs.", no_args_is_help=True)
 
 
 def register(app: typer.Typer) -> None:
@@ -104,6 +104,25 @@ def _model(name: str) -> tuple[str, ...]:
 
     facts = model_facts(name)
     return facts.learns_from, f"{facts.parameters / 1e6:.2f} M", ", ".join(facts.architectures), facts.paper
+
+
+@listing.command()
+def columns(as_json: AsJson = False) -> None:
+    """List the columns of the table of control, each a frozen planner; the first is the headline."""
+    from dmotion_bench.api import installed
+
+    rows: list[dict[str, object]] = [
+        {
+            "column": one.name,
+            "protocol": one.protocol,
+            "planner": " ".join([one.planner, *one.planner_set]),
+            "objective": one.objective or one.for_objects,
+            "actions": "continuous" if one.continuous else "all",
+            "what": one.meaning,
+        }
+        for one in installed.columns()
+    ]
+    _show("columns", rows, as_json, "there is none.")
 
 
 @listing.command()

@@ -87,7 +87,7 @@ ObjectiveSettings = Annotated[
 ]
 _BY_COLUMN: Final = (
     "Plan by a column of the table of control, whose planner and objective are frozen, in place of '--planner' and "
-    "'--objective'."
+    "'--objective'; 'dmbench list columns' tells what each is."
 )
 PlanColumnName = Annotated[str | None, typer.Option(metavar=listed(COLUMNS), help=_BY_COLUMN)]
 ColumnName = Annotated[

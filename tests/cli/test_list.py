@@ -12,6 +12,7 @@ from dmbench_command import dmbench
 
 from dmotion_bench import entry_points
 from dmotion_bench.cli.tables import show_figures, show_rows
+from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.workspace import Workspace
 from recorders.distractors.scenes import NAMES
 from recorders.planar_push.environment import FACTORS, PlanarPush
@@ -166,3 +167,20 @@ def test_a_name_that_two_packages_register_is_nobodys(
     assert outcome.code == 1
     assert "antigravity_models:Lapo" in outcome.sentence()
     assert "baselines.lapo:" in outcome.sentence()
+
+
+def test_columns_are_told_with_what_they_are(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listed = json.loads(dmbench(["list", "columns", "--json"], capsys, monkeypatch).out)["columns"]
+
+    assert [row["column"] for row in listed] == list(COLUMNS)
+    assert [row["column"] for row in listed if row["actions"] == "continuous"] == ["generic-wide"]
+    wide, paper = (next(row for row in listed if row["column"] == name) for name in ("generic-wide", "paper"))
+    assert (wide["planner"], wide["objective"]) == (
+        "icem cost_at=last initial_std=1 horizon=10 hold=2 samples=25",
+        "tracked-risk",
+    )
+    assert (paper["planner"], paper["objective"], paper["protocol"]) == ("cem", "centres", "dmbench-2")
+    shown = dmbench(["list", "columns"], capsys, monkeypatch).out
+    assert all(name in shown for name in COLUMNS)

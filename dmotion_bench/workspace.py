@@ -1,8 +1,8 @@
 """The workspace: its folders ``data/``, ``runs/`` and ``reports/``, and the search for data sets and runs in them.
 
-The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names, or the one that a caller of the
-library names for the time of the call. What is derived from a data set is
-kept in its ``cache/``, or in the folder that ``DMBENCH_CACHE`` names.
+The workspace is the current folder, or the one that ``DMBENCH_WORKSPACE`` names. Who calls the library may name another
+one for the time of the call. What is derived from a data set is kept in its ``cache/``, or in the folder that
+``DMBENCH_CACHE`` names.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, ParamSpec, TypeVar
+from typing import Final, ParamSpec, TypeVar, cast
 
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetMissing, RunMissing, UnknownName, UsageError
@@ -198,7 +198,7 @@ def in_workspace(function: Callable[_Given, _Result]) -> Callable[_Given, _Resul
         given = named.get("workspace")
         if given is None:
             return function(*args, **named)
-        with Workspace(as_path("workspace", given)).entered():  # type: ignore[arg-type]
+        with Workspace(as_path("workspace", cast(AnyPath, given))).entered():
             return function(*args, **named)
 
     return called

@@ -6,7 +6,7 @@
     demonstration.py  demo: everything once, small
     driving.py        a model that somebody drives, action by action
     importing.py      import_recordings; export_dataset: data sets from and for other tools
-    installed.py      what the installed models and the frozen planners are, and how this machine computes
+    installed.py      what the installed models are, and how this machine computes
     leaderboard.py    leaderboard_build, leaderboard_check, leaderboard_compare: the page, its entries, two runs
     planning.py       plan: one control task
     progress.py       how a caller is told how far the work is

@@ -1,4 +1,4 @@
-"""What the installed models and the frozen planners are, and how this machine computes."""
+"""What the installed models are, and how this machine computes."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import torch
 from dmotion_bench.actions import Discrete
 from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.learning.model import ModelInputs
-from dmotion_bench.planning.columns import COLUMNS, Column
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import Supervision
 
@@ -58,11 +57,6 @@ def model_facts(name: str) -> ModelFacts:
         architectures=tuple(kind.architectures),
         paper=kind.paper,
     )
-
-
-def columns() -> tuple[Column, ...]:
-    """The columns of the table of control, in its order; the first is the headline."""
-    return tuple(COLUMNS.values())
 
 
 def bf16_on_cpu() -> bool:

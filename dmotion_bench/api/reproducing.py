@@ -15,12 +15,11 @@ from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
 from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of, whole
 from dmotion_bench.api.side_by_side import THREADS, Hands, score_at_once
-from dmotion_bench.errors import DmbenchError, JobsLost, UsageError
+from dmotion_bench.errors import JobsLost, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
-from dmotion_bench.execution.job_progress import JobProgress, ProgressFile, jobs_folder, watching
+from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
 from dmotion_bench.learning.training.table import Outcome, TableJob, train_jobs
-from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.registry import table as table_named
 from dmotion_bench.reproduction.cost import Cost, control_places, cost_of
@@ -28,7 +27,8 @@ from dmotion_bench.reproduction.plan import Plan, Training, require_models
 from dmotion_bench.reproduction.settled import state_of
 from dmotion_bench.reproduction.speeds import Speeds
 from dmotion_bench.reproduction.table import Column, Table
-from dmotion_bench.scoring.control import ControlScoring, score_reference
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.reference_job import ReferenceJob, score_reference_job
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
@@ -361,39 +361,6 @@ class _Work:
         what = next(name for name in names if name not in self.failures)
         self.failures[what] = why
         self.watch.note(f"{what}: {why}")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReferenceJob:
-    """Control by a reference, as plain values.
-
-    Attributes:
-        name: Of the reference.
-        data: The data set's folder, in whose cache stays what it did.
-        scoring: Which tasks, and how.
-        progress: The file in which it says how far it is.
-    """
-
-    name: str
-    data: Path
-    scoring: ControlScoring
-    progress: Path | None
-
-
-def score_reference_job(job: ReferenceJob) -> str | None:
-    """Do a job in the present process; why it failed, if it did."""
-    told = ProgressFile(job.progress)
-
-    def show(progress: ControlProgress) -> None:
-        told.tell(JobProgress(what=f"control by {job.name}", done=progress.steps, total=progress.total))
-
-    try:
-        score_reference(job.name, Dataset.open(job.data), job.scoring, progress=show)
-    except DmbenchError as error:
-        return str(error)
-    finally:
-        told.end()
-    return None
 
 
 def _why_lacking(run: str, left_out: Mapping[str, str]) -> str:

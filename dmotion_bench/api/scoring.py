@@ -18,6 +18,7 @@ from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.hardware.threads import scoring_shortage
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.choices import DEFAULT_SOLVER
+from dmotion_bench.planning.columns import COLUMNS, Column
 from dmotion_bench.planning.mpc import GROUP, STEPS, ControlProgress
 from dmotion_bench.scoring.control import ControlScoring, control_samples
 from dmotion_bench.scoring.control import score_reference as control_of_reference
@@ -35,6 +36,7 @@ from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 __all__ = [
     "ScoreSettings",
     "as_metrics",
+    "columns",
     "compute_device",
     "control_scoring",
     "names_apart",
@@ -307,6 +309,11 @@ def as_metrics(asked: Iterable[str], option: str = "metrics") -> tuple[Metric, .
     if not wanted:
         raise UsageError(f"{option} names no group of figures; known: {', '.join(METRICS)}.")
     return tuple(name for name in METRICS if name in wanted)
+
+
+def columns() -> tuple[Column, ...]:
+    """The frozen planners that ``column`` may name, in the order of the table of control; the first is the headline."""
+    return tuple(COLUMNS.values())
 
 
 def compute_device(device: str) -> torch.device:

@@ -207,31 +207,41 @@ def scored_in_turn(
     data: Path | None = None,
 ) -> bool:
     """Whether one process scores all; arguments as of ``score_at_once``, which several can share otherwise."""
-    return hands.in_turn(_pieces([_score_job(path, metrics, settings, hands, keep, 1, data) for path in paths]))
+    return hands.in_turn(_pieces(_score_jobs(paths, metrics, settings, hands, keep=keep, data=data)))
 
 
-def _score_job(
-    path: Path,
+def _score_jobs(
+    paths: Sequence[Path],
     metrics: tuple[Metric, ...] | None,
     settings: ScoreSettings,
     hands: Hands,
+    *,
     keep: bool,
-    batch_size: int,
     data: Path | None,
-) -> ScoreJob:
-    return ScoreJob(
-        run=path.absolute(),
-        metrics=metrics,
-        settings=settings,
-        renew=not keep,
-        data=None if data is None else data.absolute(),
-        batch_size=batch_size,
-        device=hands.job_device,
-    )
+    batch_size: int = 1,
+) -> list[ScoreJob]:
+    """A job for each run; arguments as of ``score_at_once``."""
+    return [
+        ScoreJob(
+            run=path.absolute(),
+            metrics=metrics,
+            settings=settings,
+            renew=not keep,
+            data=None if data is None else data.absolute(),
+            batch_size=batch_size,
+            device=hands.job_device,
+        )
+        for path in paths
+    ]
 
 
 def _pieces(jobs: Sequence[ScoreJob]) -> int:
-    """How many workers find something to do at a time: a run each or, where there are more of these, control tasks."""
+    """How many workers find something to do at a time: a run each or, where there are more of these, control tasks.
+
+    Where each processor has a run, control tasks are not counted: for that every run and its data are opened.
+    """
+    if len(jobs) >= available_workers(_GIGABYTES):
+        return len(jobs)
     return max(len(jobs), sum(1 for job in jobs for _ in control_shares(job)))
 
 
@@ -261,7 +271,7 @@ def score_at_once(
     name = hands.executor or "local"
     if not hands.on_cluster:
         compute_device(hands.device)  # refuses what is not here
-    jobs = [_score_job(path, metrics, settings, hands, keep, batch_size, data) for path in paths]
+    jobs = _score_jobs(paths, metrics, settings, hands, keep=keep, data=data, batch_size=batch_size)
     for told in dict.fromkeys(filter(None, map(_changed_code_at, paths))):
         warn(told)
     own, names = {job.run: path for job, path in zip(jobs, paths, strict=True)}, names_apart(paths)

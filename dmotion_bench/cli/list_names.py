@@ -109,7 +109,7 @@ def _model(name: str) -> tuple[str, ...]:
 @listing.command()
 def columns(as_json: AsJson = False) -> None:
     """List the columns of the table of control, each a frozen planner; the first is the headline."""
-    from dmotion_bench.api import installed
+    from dmotion_bench.api import scoring
 
     rows: list[dict[str, object]] = [
         {
@@ -120,7 +120,7 @@ def columns(as_json: AsJson = False) -> None:
             "actions": "continuous" if one.continuous else "all",
             "what": one.meaning,
         }
-        for one in installed.columns()
+        for one in scoring.columns()
     ]
     _show("columns", rows, as_json, "there is none.")
 

@@ -188,7 +188,7 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
     if not tasks:
         raise DatasetError(
             f"{dataset.name!r} stores no control tasks; record a data set with some: "
-            f"{command('dmbench', 'record', recipe.environment, *setting_words(recipe), '--tasks', '20')}."
+            f"{command('dmbench record', recipe.environment, *setting_words(recipe), '--tasks', '20')}."
         )
     if numbers is None or isinstance(numbers, int):
         numbers = range(len(tasks) if numbers is None else min(numbers, len(tasks)))

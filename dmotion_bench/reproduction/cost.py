@@ -70,7 +70,7 @@ class Cost:
 
     Attributes:
         lines: One for each kind of job and what it is of; those with nothing left are in it, too.
-        assumptions: How the hours were computed.
+        assumptions: What the table lacks here, and how the hours were computed.
         unknown: Sentences about speeds that could not be measured.
     """
 
@@ -132,7 +132,8 @@ class _Estimate:
             self._score(column, state)
         self._pages()
         told = f"Speeds are {self.speeds.told}" + (_ON_GPU if self.gpu else ".")
-        return Cost(lines=tuple(self.lines), assumptions=(told, *ASSUMPTIONS), unknown=tuple(self.unknown))
+        assumptions = (*self.plan.left_out(), told, *ASSUMPTIONS)
+        return Cost(lines=tuple(self.lines), assumptions=assumptions, unknown=tuple(self.unknown))
 
     def _add(
         self, kind: str, what: str, jobs: int, amount: str, seconds: Callable[[], float], *, gpu: bool = False

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -35,6 +36,16 @@ def test_hours_are_amounts_over_speeds(tmp_path: Path) -> None:
     planned = 3 * 2 / 1000  # of the actions that the timed planner tries
     assert lines["score", "first"].core_hours == pytest.approx((steps * planned / 0.5 + steps / 100) / 3600)
     assert lines["score", "first"].jobs == 2  # a group of tasks, and the run
+
+
+def test_a_column_of_which_nothing_is_made_is_told(tmp_path: Path) -> None:
+    """At preset tiny the data sets hold no control tasks, as ``dmbench reproduce paper --preset tiny`` finds."""
+    idle = replace(CONTROL, worlds=tuple(replace(world, tasks=0) for world in CONTROL.worlds))
+    told = cost_of(Plan(idle, "own", Workspace(tmp_path)), Known()).assumptions
+    assert [said.split(":")[0] for said in told if "left out" in said] == ["The column 'first' is left out"]
+    assert not any(
+        "left out" in said for said in cost_of(Plan(CONTROL, "own", Workspace(tmp_path)), Known()).assumptions
+    )
 
 
 def test_what_cannot_be_measured_is_told_and_not_in_the_sum(tmp_path: Path) -> None:

@@ -1,9 +1,9 @@
 """What a model of video learns of actions afterwards: which of its latent actions an action is.
 
 For discrete actions this is a table: the mean latent action of each action's demonstrations, which is the least-squares
-optimum of any map from an action to a latent one. For continuous actions it is a ridge regression (Hoerl, Kennard 1970)
-from the normalised action; the regularisation is the one with the least leave-one-out error, which has a closed form
-(Allen's PRESS, 1974).
+optimum of any map from an action to a latent one. Unlabelled video can correct it (``settle``). For continuous actions
+it is a ridge regression (Hoerl, Kennard 1970) from the normalised action; the regularisation is the one with the least
+leave-one-out error, which has a closed form (Allen's PRESS, 1974).
 
 Where an action says what several agents do (``Discrete.joint``), each agent has a table of its own, so an agent's
 action has to be demonstrated once, whatever the others do meanwhile.
@@ -25,6 +25,9 @@ PENALTIES = torch.logspace(-6, 3, 37, dtype=torch.float64)
 """The regularisations that are tried, per demonstration; the normalised numbers of an action are at most 1."""
 
 
+ROUNDS = 100
+"""k-means ends after so many at the latest."""
+
 ALIKE = 1e-9
 """Errors that differ by a smaller share are equal."""
 
@@ -45,6 +48,7 @@ class ActionToLatent(nn.Module):
 
     rows: Tensor
     before: Tensor
+    shown: Tensor
 
     def __init__(self, spec: ActionSpec | None, width: int, unaligned: Float[Tensor, " d"] | None = None) -> None:
         super().__init__()
@@ -56,6 +60,7 @@ class ActionToLatent(nn.Module):
             rows = start.repeat_interleave(self.encoding.width, 0)
         self.register_buffer("rows", rows)
         self.register_buffer("before", rows.clone(), persistent=False)
+        self.register_buffer("shown", torch.zeros(len(rows), dtype=torch.bool), persistent=False)
 
     @torch.no_grad()
     def fit(self, latent: Float[Tensor, "n d"], action: Actions) -> None:
@@ -70,8 +75,35 @@ class ActionToLatent(nn.Module):
             return
         self.rows.copy_(self.before)
         for number in range(len(self.rows)):
-            if (of_action := latent[action == number]).numel():
+            of_action = latent[action == number]
+            self.shown[number] = bool(len(of_action))
+            if len(of_action):
                 self.rows[number] = of_action.float().mean(0)
+
+    @torch.no_grad()
+    def settle(self, latent: Float[Tensor, "n d"]) -> None:
+        """Move the row of each discrete action that ``fit`` was shown to the middle of the latent actions around it.
+
+        This is k-means, begun at the demonstrations. A latent action that is farther from every row than half the way
+        between the two nearest rows belongs to none: it may be of an action that no demonstration shows, or of an
+        agent that met an edge. With fewer than two demonstrated actions nothing says how far that is, and the table
+        stays.
+
+        Args:
+            latent: Latent actions whose action is not known.
+        """
+        middles, points = self.rows[self.shown].double(), latent.double()
+        belongs = torch.full((len(points),), -1, device=points.device)
+        for _ in range(ROUNDS if len(middles) > 1 else 0):
+            distance, nearest = torch.cdist(points, middles).min(-1)
+            now = torch.where(distance < torch.pdist(middles).min() / 2, nearest, -1)
+            if torch.equal(now, belongs):
+                break
+            belongs = now
+            for number in range(len(middles)):
+                if (around := belongs == number).any():
+                    middles[number] = points[around].mean(0)
+        self.rows[self.shown] = middles.to(self.rows)
 
     def forward(self, action: Actions) -> Float[Tensor, "b d"]:
         if isinstance(self.spec, Continuous):

@@ -149,7 +149,8 @@ class TrainingConfig:
         window: Triplets that are shuffled among each other while they are read from the compressed files; 0 shuffles
             all of them, which takes the frame cache.
         adaptation: What the demonstrations change in a model of video: ``"averaged"`` its map from actions to latent
-            ones alone (``ForwardModel.align``), ``"finetuned"`` then all of it, end to end (``adaptation.py``).
+            ones alone (``ForwardModel.align``), which ``"clustered"`` then corrects by unlabelled video
+            (``clustering.py``), ``"finetuned"`` then all of it, end to end (``adaptation.py``).
         adaptation_steps: At most so many steps of Adam in a fine-tuning.
         adaptation_rate: Of its learning.
     """
@@ -179,7 +180,7 @@ class TrainingConfig:
             ("schedule", self.schedule, ("one-cycle", "linear", "cosine", "constant")),
             ("optimizer", self.optimizer, ("adamw", "adam", "muon")),
             ("precision", self.precision, ("auto", "bf16", "float32")),
-            ("adaptation", self.adaptation, ("averaged", "finetuned")),
+            ("adaptation", self.adaptation, ("averaged", "clustered", "finetuned")),
         ):
             if value not in allowed:
                 raise InvalidSetting(f"{name} is {value!r}; it can be {', '.join(allowed)}.")

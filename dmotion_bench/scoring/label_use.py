@@ -23,5 +23,5 @@ def label_use(spec: RunSpec, supervision: Supervision) -> str:
         supervision: Of its model.
     """
     during = supervision is Supervision.FEW
-    finetuned = spec.training_config.adaptation == "finetuned"
-    return ", ".join(["during"] * during + ["finetuned"] * finetuned)
+    adaptation = spec.training_config.adaptation
+    return ", ".join(["during"] * during + [adaptation] * (adaptation != "averaged"))

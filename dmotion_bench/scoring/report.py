@@ -73,7 +73,9 @@ Version = int | str
 LABEL_USES: Final[Mapping[str, str]] = MappingProxyType(
     {
         "during": "few labels during the training",
+        "clustered": "its labels name clusters",
         "finetuned": "fine-tuned on its labels",
+        "during, clustered": "few labels during the training, its labels name clusters",
         "during, finetuned": "few labels during the training, fine-tuned on its labels",
     }
 )

@@ -191,6 +191,15 @@ def held_for_validation(data: TrainingData) -> TripletSet:
     return _evenly(data.validation, VALIDATION_TRIPLETS)
 
 
+def video_sample(data: TrainingData, most: int) -> TripletSet:
+    """At most so many triplets of the training video, spread evenly; where it is streamed, those of the validation.
+
+    Raises:
+        CacheNotWritable, StorageFull: As for ``held_for_validation``.
+    """
+    return _evenly(data.train, most) if isinstance(data.train, TripletSet) else held_for_validation(data)
+
+
 def _evenly(triplets: TripletSet | StreamedTriplets, most: int) -> TripletSet:
     """At most so many triplets, spread evenly."""
     if isinstance(triplets, TripletSet) and len(triplets) <= most:

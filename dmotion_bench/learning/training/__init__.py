@@ -19,6 +19,7 @@
     resuming.py            the content of its checkpoints
     companions.py          what several processes of one training say to each other
     adaptation.py          fine-tuning on the demonstrations
+    clustering.py          what demonstrations name, found in unlabelled video
     shared_pretraining.py  what label budgets share, trained once
     table.py               the training of all registered models with each of their budgets
 """

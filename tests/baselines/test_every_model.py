@@ -244,10 +244,41 @@ def test_no_label_of_another_run_is_left_in_a_table_that_is_taken_over(recorded,
     assert fewer.result["weights"] == trained("lapo", labels).result["weights"]
 
 
-def test_what_has_no_demonstrations_cannot_be_fine_tuned(recorded, tmp_path) -> None:
-    for name, labels, said in (("ed-cnn", "100%", "learns from actions all along"), ("lapo", "none", "gives none")):
+@pytest.mark.parametrize("name", ["dmotion", "lapo"])
+def test_clustering_changes_the_table_alone_and_reads_no_other_label(name, recorded, trained, tmp_path) -> None:
+    """Clustering once more ends with the same bits."""
+    averaged, runs = trained(name, "one-shot"), Workspace(tmp_path)
+    Path(shutil.copytree(averaged.path, runs.runs / "averaged"))
+    dataset = Dataset.open(recorded)
+    request = TrainingRequest(
+        model=name, labels="one-shot", preset=Preset.TINY, settings=(*SETTINGS, "adaptation=clustered")
+    )
+    found = []
+    for _ in range(2):
+        run = open_run(request, dataset, None, runs)
+        assert take_over(run) is not None
+        train(run, training_data(run, dataset), launch("cpu"), lambda _: None)
+        found.append(run.result["weights"])
+        weights, before = run.model.state_dict(), averaged.model.state_dict()
+        (table,) = (key for key in weights if key.startswith("table"))
+        assert all(torch.equal(weights[key], before[key]) for key in {*weights} - {table})
+        assert weights[table].shape == before[table].shape
+        assert not torch.equal(weights[table], before[table])
+        assert run.result["labels_total"] == averaged.result["labels_total"]
+        shutil.rmtree(run.path)
+    assert found[0] == found[1]
+
+
+def test_what_has_no_demonstrations_cannot_be_adapted(recorded, tmp_path) -> None:
+    for name, labels, said, adaptation in (
+        ("ed-cnn", "100%", "learns from actions all along", "finetuned"),
+        ("ed-cnn", "100%", "nothing to adapt; leave out '--set adaptation=clustered'", "clustered"),
+        ("lapo", "none", "gives none", "finetuned"),
+        ("lapo", "none", "gives none", "clustered"),
+        ("idm-ed-cnn", "one-shot", "idm-ed-cnn reads no latent actions off frames", "clustered"),
+    ):
         with pytest.raises(UsageError, match=said):
-            _train(name, recorded, tmp_path / name, labels=labels, more=("adaptation=finetuned",))
+            _train(name, recorded, tmp_path / name, labels=labels, more=(f"adaptation={adaptation}",))
 
 
 @pytest.mark.parametrize("name", ["dmotion", "lapo"])

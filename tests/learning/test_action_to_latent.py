@@ -52,6 +52,49 @@ def test_discrete_actions_have_a_table_of_means_and_what_was_not_shown_is_as_bef
     assert table.rows.tolist() == [[0, 9], [5, 5], [0, 9]]  # nothing is left of demonstrations of before
 
 
+CORNERS = torch.tensor([[8.0, 0.0], [-8.0, 0.0], [0.0, 8.0], [0.0, -8.0]])
+
+
+def shaken(count: int) -> torch.Tensor:
+    """Latent actions of four actions, each moved by a shake of up to 4 in both directions; equally many of each."""
+    shake = torch.rand(4, count, 2, generator=torch.Generator().manual_seed(0)) * 8 - 4
+    shake -= shake.mean(1, keepdim=True)
+    return (CORNERS[:, None] + shake).flatten(0, 1)
+
+
+def test_unlabelled_latent_actions_correct_rows_of_one_demonstration_each() -> None:
+    table = ActionToLatent(Discrete.numbered(4), 2)
+    table.fit(CORNERS + torch.tensor([[3.0, 2.0], [2.0, -3.0], [-3.0, 1.0], [2.0, 3.0]]), torch.arange(4))
+    table.settle(shaken(500))
+    torch.testing.assert_close(table.rows, CORNERS, atol=0.2, rtol=0)
+
+
+def test_what_no_demonstration_shows_pulls_no_row_and_keeps_its_own() -> None:
+    """Without the bound of half the way, a third of the missing action's would count to each of the others."""
+    table = ActionToLatent(Discrete.numbered(4), 2, unaligned=torch.tensor([1.0, 1.0]))
+    table.fit(CORNERS[:3] + 1.0, torch.arange(3))
+    table.settle(torch.cat([shaken(500), torch.zeros(300, 2)]))  # and 300 times the agent met an edge
+    torch.testing.assert_close(table.rows[:3], CORNERS[:3], atol=0.4, rtol=0)
+    assert table.rows[3].tolist() == [1, 1]
+
+
+@pytest.mark.parametrize("shown", [[], [2]])
+def test_without_two_demonstrated_actions_a_table_stays(shown: list[int]) -> None:
+    table = ActionToLatent(Discrete.numbered(4), 2)
+    table.fit(CORNERS[shown] + 1.0, torch.tensor(shown, dtype=torch.long))
+    before = table.rows.clone()
+    table.settle(shaken(5))
+    assert torch.equal(table.rows, before)
+
+
+def test_rows_stay_where_nothing_is_near_or_two_are_alike() -> None:
+    table = ActionToLatent(Discrete.numbered(2), 2)
+    for rows in (torch.tensor([[1.0, 0.0], [-1.0, 0.0]]), torch.ones(2, 2)):
+        table.fit(rows, torch.arange(2))
+        table.settle(CORNERS)
+        assert torch.equal(table.rows, rows)
+
+
 def test_a_linear_relation_is_found_exactly_and_kept_by_a_checkpoint() -> None:
     action = drawn(16)
     matrix, offset = torch.tensor([[30.0, 1.0, 0.0], [-2.0, 0.0, 20.0]]), torch.tensor([0.1, -0.2, 0.3])

@@ -134,6 +134,9 @@ def test_what_counts_single_actions_is_refused_and_nothing_is_begun(workspace: W
     before = {path.parent for path in workspace.runs.glob("*/run.json")}
     with pytest.raises(UsageError, match=r"cannot be counted one by one; give a number .* --labels 64"):
         resolve(TrainingRequest(model="dmotion", labels="one-shot"), dataset)
+    clustered = TrainingRequest(model="dmotion", labels="64", settings=("adaptation=clustered",))
+    with pytest.raises(UsageError, match=r"adaptation=clustered' is for named actions"):
+        resolve(clustered, dataset)
     assert {path.parent for path in workspace.runs.glob("*/run.json")} == before
 
 

@@ -18,7 +18,7 @@ from walking_square import record_walks
 
 from dmotion_bench.errors import DatasetCorrupt, UsageError
 from dmotion_bench.learning.data.batches import FramesOnDevice, TripletBatches
-from dmotion_bench.learning.data.curriculum import parts_of
+from dmotion_bench.learning.data.curriculum import held_for_validation, parts_of, video_sample
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.streamed import WINDOW, StreamedBatches, StreamedTriplets
@@ -281,6 +281,16 @@ def test_validation_is_that_of_the_cache_and_is_decoded_once(walks, tmp_path, mo
     monkeypatch.setattr(Dataset, "video", lambda *given: opened.append(given[1]) or read(*given))
     parts(24)[0].validation(np.arange(9))
     assert not opened
+
+
+def test_the_video_that_is_clustered_is_of_the_training_or_where_streamed_of_the_validation(walks, tmp_path) -> None:
+    cached, streamed = (
+        training_data(_run(walks, tmp_path / f"run-{window}", f"window={window}"), walks) for window in (0, 24)
+    )
+    some = video_sample(cached, 5)
+    assert len(some) == 5
+    assert {*some.episode.tolist()} <= {*walks.split("train").tolist()}
+    np.testing.assert_array_equal(video_sample(streamed, 5).episode, held_for_validation(streamed).episode)
 
 
 def _run(walks: Dataset, folder: Path, *settings: str, **request) -> Run:

@@ -34,7 +34,9 @@ SPEC = RunSpec(
     [
         ("lapo", "averaged", ""),
         ("ed-cnn", "averaged", ""),
+        ("lapo", "clustered", "clustered"),
         ("lapo", "finetuned", "finetuned"),
+        ("laom-labels", "clustered", "during, clustered"),
         ("laom-labels", "averaged", "during"),
         ("idm-ed-cnn", "averaged", "during"),
         ("laom-labels", "finetuned", "during, finetuned"),

@@ -72,7 +72,7 @@ def test_another_label_budget_takes_over_the_training_on_video(
 ) -> None:
     with caplog.at_level("INFO", logger="dmotion_bench"):
         run = dm.train("dmotion", labels="2-shot", settings=SHORT, threads=1)
-    assert "using the training of runs/tiny, which differs only in its labels" in caplog.text
+    assert "using the training of runs/tiny, which differs only in its labels and what it does with them" in caplog.text
     assert run.result["labels_total"] == 8
 
 

@@ -287,7 +287,10 @@ def test_so_does_a_budget_that_takes_the_training_over(package: Path, tmp_path: 
     spec = dataclasses.replace(run.spec, labels="one-shot")
     other = Run.create_or_open(run.path.with_name("two"), spec, dataset_path="data/grid", versions={})
     told = _told(other)
-    assert "which differs only in its labels. the code of the model 'edited' was changed" in told
+    assert (
+        "which differs only in its labels and what it does with them. the code of the model 'edited' was changed"
+        in told
+    )
     assert f"delete {str(run.path)!r} first" in told
     assert Run.open(other.path).changed_modules == ["edited_models.parts"]  # it is what the other one was trained with
     assert Run.open(other.path).manifest["versions"] == {"torch": "1.0"}

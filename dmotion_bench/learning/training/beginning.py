@@ -44,7 +44,7 @@ def finished_result(
             tell_changes(run, warn)
             return run.result
     if (source := take_over(run)) is not None:
-        note(f"using the training of {source.path}, which differs only in its labels.")
+        note(f"using the training of {source.path}, which differs only in its labels and what it does with them.")
         tell_changes(source, warn)
     elif run.last.exists():
         note(f"going on with {run.path}.")

@@ -8,7 +8,8 @@ from typing import Final
 
 from leaderboard.entry import Entry
 
-_THREADS: Final = re.compile(r"threads \d+")
+_UNSAID: Final = re.compile(r"threads \d+|adaptation \w+")
+"""What only changes rounding, and what a row says in words (``labels.use``)."""
 
 
 def without_seed(entry: Entry) -> str:
@@ -23,11 +24,11 @@ def settings_of(entry: Entry) -> str:
 
 
 def unusual_settings(entry: Entry) -> str | None:
-    """The same without the preset and the number of threads, which only changes rounding; None for another name."""
+    """The same without the preset and without what a row need not say (``_UNSAID``); None for another name."""
     known = _after_budget(entry)
     if known is None:
         return None
-    return ", ".join(part for part in known[1:] if not _THREADS.fullmatch(part))
+    return ", ".join(part for part in known[1:] if not _UNSAID.fullmatch(part))
 
 
 def _after_budget(entry: Entry) -> list[str] | None:

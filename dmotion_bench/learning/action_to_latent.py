@@ -24,7 +24,6 @@ from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 PENALTIES = torch.logspace(-6, 3, 37, dtype=torch.float64)
 """The regularisations that are tried, per demonstration; the normalised numbers of an action are at most 1."""
 
-
 ROUNDS = 100
 """k-means ends after so many at the latest."""
 
@@ -44,6 +43,7 @@ class ActionToLatent(nn.Module):
     Attributes:
         rows: A row for each discrete action; or the latent action of a continuous action's middle, and how it changes
             with each of the action's normalised numbers.
+        shown: Which discrete actions the demonstrations of the last ``fit`` were of.
     """
 
     rows: Tensor
@@ -76,8 +76,8 @@ class ActionToLatent(nn.Module):
         self.rows.copy_(self.before)
         for number in range(len(self.rows)):
             of_action = latent[action == number]
-            self.shown[number] = bool(len(of_action))
-            if len(of_action):
+            self.shown[number] = len(of_action) > 0
+            if self.shown[number]:
                 self.rows[number] = of_action.float().mean(0)
 
     @torch.no_grad()
@@ -184,6 +184,11 @@ class JointActionToLatent(nn.Module):
     def _parts(self, action: Int[Tensor, " b"]) -> Int[Tensor, "b k"]:
         sizes = () if self.spec is None else tuple(map(len, self.spec.parts))
         return torch.stack(torch.unravel_index(action, sizes), dim=-1)
+
+
+def tables_of(model: nn.Module) -> list[ActionToLatent]:
+    """Where a model keeps what labels taught it: one map, or one for each agent; none if it keeps that otherwise."""
+    return [module for module in model.modules() if isinstance(module, ActionToLatent)]
 
 
 def _unexplained(latent: Float[Tensor, "n d"], action: Int[Tensor, " n"]) -> Float[Tensor, ""]:

@@ -132,8 +132,14 @@ class _Estimate:
             self._score(column, state)
         self._pages()
         told = f"Speeds are {self.speeds.told}" + (_ON_GPU if self.gpu else ".")
-        assumptions = (*self.plan.left_out(), told, *ASSUMPTIONS)
-        return Cost(lines=tuple(self.lines), assumptions=assumptions, unknown=tuple(self.unknown))
+        table = self.plan.table
+        left_out = [
+            f"The column {column.name!r} is left out: nothing of it can be scored at preset {table.preset.value} with "
+            "these models."
+            for column in table.columns
+            if not self.plan.of_column(column)
+        ]
+        return Cost(lines=tuple(self.lines), assumptions=(*left_out, told, *ASSUMPTIONS), unknown=tuple(self.unknown))
 
     def _add(
         self, kind: str, what: str, jobs: int, amount: str, seconds: Callable[[], float], *, gpu: bool = False

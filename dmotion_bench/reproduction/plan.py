@@ -279,15 +279,6 @@ class Plan:
         """The scorings of a column."""
         return [scoring for scoring in self.scorings if scoring.column is column]
 
-    def left_out(self) -> list[str]:
-        """A sentence for each column of which nothing can be made."""
-        return [
-            f"The column {column.name!r} is left out: nothing of it can be scored at preset {self.table.preset.value} "
-            "with these models."
-            for column in self.table.columns
-            if not self.of_column(column)
-        ]
-
     def _recording(self, world: World) -> Recording:
         preset, size = self.table.preset, self.table.preset.value
         if world.fixed and preset is Preset.TINY:

@@ -16,7 +16,7 @@ import torch
 from jaxtyping import Float, Int, Shaped, UInt8
 from torch import Tensor
 
-from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.action_to_latent import tables_of
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.checkpoint import weights_hash
@@ -76,8 +76,9 @@ def learned_from_video(model: ForwardModel[Any]) -> dict[str, str]:
     Labels teach which latent action an action is (``ActionToLatent``). Whatever else they teach counts among the
     weights: which motion is whose among several agents, and everything in fine-tuning.
     """
-    tables = (part for part in model.modules() if isinstance(part, ActionToLatent))
-    taught = {one.data_ptr() for part in tables for one in part.buffers()}  # a model may store them by other names
+    taught = {
+        one.data_ptr() for table in tables_of(model) for one in table.buffers()
+    }  # a model may store them by other names
     weights = {name: one for name, one in model.state_dict().items() if one.data_ptr() not in taught}
     kind = type(model)
     return {

@@ -275,7 +275,7 @@ def test_what_has_no_demonstrations_cannot_be_adapted(recorded, tmp_path) -> Non
         ("ed-cnn", "100%", "nothing to adapt; leave out '--set adaptation=clustered'", "clustered"),
         ("lapo", "none", "gives none", "finetuned"),
         ("lapo", "none", "gives none", "clustered"),
-        ("idm-ed-cnn", "one-shot", "idm-ed-cnn reads no latent actions off frames", "clustered"),
+        ("idm-ed-cnn", "one-shot", "has no latent_action, or keeps latent actions in no", "clustered"),
     ):
         with pytest.raises(UsageError, match=said):
             _train(name, recorded, tmp_path / name, labels=labels, more=(f"adaptation={adaptation}",))

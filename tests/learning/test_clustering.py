@@ -9,13 +9,13 @@ import torch
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning.action_to_latent import JointActionToLatent
+from dmotion_bench.learning.action_to_latent import JointActionToLatent, tables_of
 from dmotion_bench.learning.data.curriculum import TrainingData
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs
-from dmotion_bench.learning.training.clustering import cluster, tables_of
+from dmotion_bench.learning.training.clustering import cluster, require_clusters
 from dmotion_bench.specs import Supervision
 
 JOINT = Discrete.joint(("up", "down"), ("near", "far"))
@@ -63,5 +63,5 @@ def test_each_agent_s_rows_move_into_its_own_clusters_and_no_label_is_opened(dat
 
 
 def test_a_model_that_keeps_its_latent_actions_otherwise_is_refused() -> None:
-    with pytest.raises(UsageError, match=r"^Two keeps its latent actions in no ActionToLatent"):
-        tables_of(_model(told=False))
+    with pytest.raises(UsageError, match=r"^Two has no latent_action, or keeps latent actions in no ActionToLatent"):
+        require_clusters(_model(told=False))

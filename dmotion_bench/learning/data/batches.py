@@ -14,14 +14,13 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from einops import rearrange
 from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.data.triplets import BatchOrder, TripletSet
 from dmotion_bench.learning.demonstrations import Demonstrations
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.images import images_of_triplets, to_model
 from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.storage.readable import Frames
 
@@ -130,7 +129,7 @@ class TripletBatches:
         else:
             first = self._first[rows]
             stored = self._resident[first[:, None] + torch.arange(3, device=self.device)]
-        previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
+        previous, current, following = images_of_triplets(stored)
         batch = TripletBatch(
             previous=previous,
             current=current,

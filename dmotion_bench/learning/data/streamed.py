@@ -23,7 +23,7 @@ from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.data.batches import uploaded
 from dmotion_bench.learning.data.streamed_order import StreamedOrder, Window
 from dmotion_bench.learning.data.triplets import TripletSet
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.images import images_of_triplets, to_model
 from dmotion_bench.learning.model import TripletBatch
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
@@ -200,7 +200,7 @@ class StreamedBatches:
         """The triplets of ``index``, images in [-1, 1], channels-last in memory."""
         episodes, steps = self.triplets.places(index)
         stored = uploaded(self.gather(index), self.device)
-        previous, current, following = (to_model(frames) for frames in rearrange(stored, "b s h w c -> s b h w c"))
+        previous, current, following = images_of_triplets(stored)
         batch = TripletBatch(
             previous=previous,
             current=current,

@@ -7,7 +7,6 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from dmotion_bench.actions import ActionSpec, Continuous
 from dmotion_bench.errors import UnknownName, UsageError
@@ -16,7 +15,7 @@ from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.streamed import LOADERS, WINDOW, StreamedTriplets
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
-from dmotion_bench.learning.model import ForwardModel, TrainingConfig
+from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs.manifest import stored_actions
 from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json, with_settings
@@ -87,7 +86,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         )
     config, training = with_settings(request.settings, kind.configure(arch), kind.training_defaults(preset, arch))
     training = _streaming(request, training)
-    _require_adaptable(request.model, kind, labels, dataset.spec.actions, training)
+    _require_adaptable(request.model, kind.supervision, labels, dataset.spec.actions, training)
     return RunSpec(
         model=request.model,
         arch=arch,
@@ -107,7 +106,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
 
 def _require_adaptable(
     model: str,
-    kind: type[ForwardModel[Any]],
+    supervision: Supervision,
     labels: LabelRequest,
     actions: ActionSpec | None,
     training: TrainingConfig,
@@ -116,12 +115,12 @@ def _require_adaptable(
 
     Raises:
         UsageError: The model is trained with actions anyway, or no action is demonstrated; or latent actions are to be
-            clustered, and the model has none, or actions have no names.
+            clustered, and actions have no names.
     """
     asked = f"'--set adaptation={training.adaptation}'"
     if training.adaptation == "averaged":
         return
-    if kind.supervision is Supervision.ACTIONS:
+    if supervision is Supervision.ACTIONS:
         raise UsageError(f"{model} learns from actions all along, so there is nothing to adapt; leave out {asked}.")
     if labels.kind == "none":
         raise UsageError(
@@ -130,8 +129,6 @@ def _require_adaptable(
         )
     if training.adaptation == "clustered" and isinstance(actions, Continuous):
         raise UsageError(f"{asked} is for named actions, and those of this data set are numbers; leave it out.")
-    if training.adaptation == "clustered" and not hasattr(kind, "latent_action"):
-        raise UsageError(f"{model} reads no latent actions off frames, which {asked} would cluster; leave it out.")
 
 
 def default_path(request: TrainingRequest, spec: RunSpec, workspace: Workspace) -> Path:

@@ -18,7 +18,7 @@
     samples.py             pictures of what the model predicts
     resuming.py            the content of its checkpoints
     companions.py          what several processes of one training say to each other
-    adaptation.py          fine-tuning on the demonstrations
+    adaptation.py          what demonstrations change, fine-tuning among it
     clustering.py          what demonstrations name, found in unlabelled video
     shared_pretraining.py  what label budgets share, trained once
     table.py               the training of all registered models with each of their budgets

@@ -1,4 +1,6 @@
-"""Fine-tuning: the demonstrations train a model of video end to end, after its table of averaged latent actions.
+"""What demonstrations change in a model of video: its table alone, the table by way of clusters, or all of it.
+
+Fine-tuning trains all of the model on the demonstrations, end to end, after its table of averaged latent actions.
 
 AdaWorld (Gao et al. 2025, section 3.3) compares two ways to tell a latent-action model what real actions are: the
 average latent action of each one's demonstrations, and the same followed by training on the demonstrations. Here the
@@ -21,16 +23,61 @@ from jaxtyping import Int
 from torch import Tensor
 
 from dmotion_bench.errors import RunError
-from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.action_to_latent import tables_of
+from dmotion_bench.learning.data.curriculum import TrainingData
 from dmotion_bench.learning.data.labels import HELD_BACK
 from dmotion_bench.learning.data.triplets import BatchOrder
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.hardware.precision import Precision, autocast
 from dmotion_bench.learning.model import ForwardModel, TrainingConfig
+from dmotion_bench.learning.runs.manifest import RunSpec
+from dmotion_bench.learning.training.clustering import cluster, require_clusters
 
 CHECKS: Final = 10
 """How often the transitions that are left out are predicted."""
 AT_ONCE: Final = 64
+
+
+def require_adaptable(model: ForwardModel[Any], config: TrainingConfig) -> None:
+    """Refuse a model that cannot be adapted as the config asks.
+
+    Raises:
+        UsageError: As of ``require_clusters``.
+    """
+    if config.adaptation == "clustered":
+        require_clusters(model)
+
+
+def adapt(
+    model: ForwardModel[Any],
+    shown: Demonstrations,
+    data: TrainingData,
+    spec: RunSpec,
+    precision: Precision,
+    device: torch.device,
+) -> int | None:
+    """Teach a trained model its actions by demonstrations, as its run's ``adaptation`` says.
+
+    Args:
+        model: In evaluation mode.
+        shown: The demonstrations.
+        data: Of the training, whose video says where clusters lie.
+        spec: Of the run.
+        precision: As for ``finetune``.
+        device: Of the model.
+
+    Returns:
+        The steps of a fine-tuning that were kept; None where there was none.
+
+    Raises:
+        RunError: A fine-tuning diverged.
+    """
+    with torch.no_grad():
+        model.align(shown)
+    config = spec.training_config
+    if config.adaptation == "clustered":
+        cluster(model, data, device)
+    return finetune(model, shown, config, spec.seed, precision) if config.adaptation == "finetuned" else None
 
 
 def finetune(
@@ -53,7 +100,7 @@ def finetune(
     """
     order = torch.randperm(len(shown), generator=torch.Generator().manual_seed(seed))
     held, learned = order.tensor_split([len(shown) // HELD_BACK])
-    tables = [module.rows for module in model.modules() if isinstance(module, ActionToLatent)]
+    tables = [table.rows for table in tables_of(model)]
     trained = [*model.parameters(), *tables]
     for tensor in trained:
         tensor.requires_grad_(True)

@@ -13,12 +13,12 @@ from typing import Any, Final
 
 import numpy as np
 import torch
-from einops import rearrange
 
 from dmotion_bench.errors import UsageError
-from dmotion_bench.learning.action_to_latent import ActionToLatent
+from dmotion_bench.learning.action_to_latent import tables_of
+from dmotion_bench.learning.data.batches import uploaded
 from dmotion_bench.learning.data.curriculum import TrainingData, video_sample
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.images import images_of_triplets
 from dmotion_bench.learning.model import ForwardModel
 
 VIDEO_TRIPLETS: Final = 1024
@@ -26,18 +26,17 @@ VIDEO_TRIPLETS: Final = 1024
 AT_ONCE: Final = 64
 
 
-def tables_of(model: ForwardModel[Any]) -> list[ActionToLatent]:
-    """What a model's labels taught: a table, or one for each agent.
+def require_clusters(model: ForwardModel[Any]) -> None:
+    """Refuse a model whose latent actions could not be clustered.
 
     Raises:
-        UsageError: The model keeps it otherwise.
+        UsageError: It reads none off frames, or keeps what labels taught it in no ``ActionToLatent``.
     """
-    if not (tables := [module for module in model.modules() if isinstance(module, ActionToLatent)]):
+    if not hasattr(model, "latent_action") or not tables_of(model):
         raise UsageError(
-            f"{type(model).__qualname__} keeps its latent actions in no ActionToLatent, which '--set "
-            "adaptation=clustered' would move; leave it out."
+            f"{type(model).__qualname__} has no latent_action, or keeps latent actions in no ActionToLatent, and "
+            "'--set adaptation=clustered' needs both; leave it out."
         )
-    return tables
 
 
 @torch.no_grad()
@@ -45,17 +44,16 @@ def cluster(model: ForwardModel[Any], data: TrainingData, device: torch.device) 
     """Move the latent action of each demonstrated action to the middle of those around it in the video.
 
     Args:
-        model: Aligned with its demonstrations, in evaluation mode. It has ``latent_action``: of several agents, the
+        model: Aligned with its demonstrations, in evaluation mode. Of several agents its ``latent_action`` has the
             parts of ``tables_of`` one after the other.
         data: Whose video is read.
         device: Of the model.
     """
-    reader: Any = model  # that it reads latent actions is asked before the training (runs/start.py)
+    reader: Any = model  # it has latent_action: require_clusters
     video, read = video_sample(data, VIDEO_TRIPLETS), []
-    for first in range(0, len(video), AT_ONCE):
-        stored = torch.from_numpy(video.gather(np.arange(first, min(first + AT_ONCE, len(video))))).to(device)
-        frames = (to_model(one) for one in rearrange(stored, "b s h w c -> s b h w c"))
-        read.append(reader.latent_action(*frames).float())
+    for rows in np.split(np.arange(len(video)), range(AT_ONCE, len(video), AT_ONCE)):
+        images = images_of_triplets(uploaded(video.gather(rows), device))
+        read.append(reader.latent_action(*images).float())
     tables = tables_of(model)
     for table, part in zip(tables, torch.cat(read).chunk(len(tables), dim=-1), strict=True):
         table.settle(part)

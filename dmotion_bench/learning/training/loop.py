@@ -30,8 +30,7 @@ from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.manifest import Conditions, RunResult
 from dmotion_bench.learning.runs.run import SAMPLES, Run
-from dmotion_bench.learning.training.adaptation import finetune
-from dmotion_bench.learning.training.clustering import cluster, tables_of
+from dmotion_bench.learning.training.adaptation import adapt, require_adaptable
 from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.conditions import choose_conditions
 from dmotion_bench.learning.training.hardness import Hardness
@@ -125,8 +124,7 @@ class _Trainer:
         self.config: TrainingConfig = run.spec.training_config
         self.model = run.spec.build().laid_out()
         # asked for first: what is missing is said before the work
-        if self.config.adaptation == "clustered":
-            tables_of(self.model)
+        require_adaptable(self.model, self.config)
         self.demonstrations = demonstrations_of(data, self.model.supervision, fabric.device)
         shown = self.demonstrations if self.model.supervision is Supervision.FEW else None
         self.parts = parts_of(self.model.phases(), data, self.config, run.spec.seed, fabric.device, shown)
@@ -371,13 +369,8 @@ class _Trainer:
         self.model.eval()
         adapted: int | None = None
         if self.demonstrations is not None:
-            with torch.no_grad():
-                self.model.align(self.demonstrations)
-            if self.config.adaptation == "clustered":
-                cluster(self.model, self.data, self.fabric.device)
-            if self.config.adaptation == "finetuned":
-                precision = self.conditions.precision
-                adapted = finetune(self.model, self.demonstrations, self.config, self.run.spec.seed, precision)
+            how = self.run.spec, self.conditions.precision, self.fabric.device
+            adapted = adapt(self.model, self.demonstrations, self.data, *how)
         weights = self.model.state_dict()
         state, budget = self.state, self.data.budget
         triplets = sum(state.steps_of(part) * part.order.batch_size for part in self.parts)

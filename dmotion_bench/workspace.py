@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import os
+import re
 import shlex
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextvars import ContextVar
@@ -159,6 +160,25 @@ class Workspace:
             listed = "\n".join(f"  {shlex.quote(str(path))}" for path in found)
             raise UsageError(f"several runs are here; name one:\n{listed}")
         return found[0]
+
+    def trainings(self, given: AnyPath) -> list[Path]:
+        """The run asked for by path or name or, where none has this name, the runs that add a seed to it.
+
+        For ``a`` these are ``a-s0``, ``a-s1`` ..., in the order of their seeds.
+
+        Raises:
+            RunMissing, UnknownName: There is none.
+        """
+        path = as_path("run", given)
+        places = (path, self.runs / path)
+        if not any((place / RUN_MANIFEST).is_file() for place in places):
+            for place in places:
+                seeded = re.compile(rf"{re.escape(place.name)}-s(\d+)")
+                runs = [manifest.parent for manifest in place.parent.glob(f"*-s*/{RUN_MANIFEST}")]
+                found = {int(seed[1]): run for run in runs if (seed := seeded.fullmatch(run.name))}
+                if found:
+                    return [found[seed] for seed in sorted(found)]
+        return [self.run(given)]
 
     def short(self, folder: AnyPath) -> AnyPath:
         """What to type for a data set or a run: its name where that finds it, otherwise its path or address."""

@@ -1,8 +1,8 @@
 """Boards from entries: one board per data set, one row per model, architecture and label budget.
 
-Runs that differ in nothing but their seed are one row. Its value is the mean over the seeds; what stands beside it
-is the range over the seeds, or, of a single seed, the 95% interval over the test episodes. Who is better is not read
-from these: each row is compared with the best by the paired difference over the episodes (``comparison.py``).
+Runs that differ in nothing but their seed are one row. Its value is the mean over these trainings; beside it stand
+their range and the 95% interval over test episodes and trainings. Who is better is not read from these: each row is
+compared with the best by the paired difference (``comparison.py``), whose interval is over both, too.
 
 Control is as good as the planner, so only what one planner did in the same tasks is averaged and compared: of those of
 this dmbench's version, or, where nothing of it is there, of all, the one that planned most. Rows that have none of it

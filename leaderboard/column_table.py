@@ -19,13 +19,8 @@ from jaxtyping import Float
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.figures import SUCCESS
-from dmotion_bench.scoring.statistics import (
-    Estimate,
-    detectable_difference,
-    over_trainings,
-    standard_error,
-    wilson,
-)
+from dmotion_bench.scoring.statistics import Estimate, detectable_difference, wilson
+from dmotion_bench.scoring.trainings import over_trainings, standard_error
 from leaderboard.comparison import PARTS
 from leaderboard.control import PUBLISHED
 from leaderboard.entry import Entry

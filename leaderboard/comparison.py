@@ -13,10 +13,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float, Int
 
-from dmotion_bench.pairing import Difference, better, compare_runs, scored
+from dmotion_bench.pairing import compare_runs, scored
+from dmotion_bench.scoring.differences import CONTROL_DISTANCES, Difference, better
 from dmotion_bench.scoring.figures import PUSH, figures_of
-from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, column
-from dmotion_bench.scoring.statistics import EARLIER_FEWEST, EpisodeBootstrap, Estimate
+from dmotion_bench.scoring.samples import column
+from dmotion_bench.scoring.statistics import EARLIER_FEWEST, Estimate
+from dmotion_bench.scoring.trainings import difference_over_trainings, over_trainings
 
 __all__ = [
     "Difference",
@@ -34,9 +36,6 @@ PARTS: Final = ("mean", "std", "low", "high", "n")
 
 BY_EPISODE: Final = ("mse", "mse_push", "position_error_paper")
 """Figures whose sums stand in an entry. Which frames have a value is a matter of the true frames alone."""
-
-CONTROL_DISTANCES: Final = {CONTROL: "control_distance", PICTURE_CONTROL: "control_picture_distance"}
-"""By the metric of their samples, how the figures of control's distances begin."""
 
 
 def as_in_an_entry(figures: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -103,22 +102,22 @@ def _sums(episode: Int[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> di
 
 
 def difference_by_episode(first: Sequence[Mapping[str, Any]], second: Sequence[Mapping[str, Any]]) -> Estimate | None:
-    """The paired difference first - second of two models, each the mean over its seeds, from sums over episodes.
+    """The paired difference first - second of two models, each the mean over its trainings, from sums over episodes.
 
-    The same as ``paired_difference`` of the samples; ``std`` is that over episodes' means. None where the sums are
-    not over the same samples.
+    Its interval is over episodes and, of a model with several trainings, over these. None where the sums are not over
+    the same samples.
     """
     count = _count([*first, *second]) if first and second else None
-    return None if count is None else _estimate(_mean_sum(first) - _mean_sum(second), count)
+    return None if count is None else difference_over_trainings(_sums_of(first), _sums_of(second), count)
 
 
 def mean_by_episode(trainings: Sequence[Mapping[str, Any]]) -> Estimate | None:
-    """The mean over some trainings of a model, with its 95% interval over episodes, from sums over episodes.
+    """The mean over some trainings of a model, with its 95% interval over episodes and trainings, from such sums.
 
     None where the sums are not over the same samples.
     """
     count = _count(trainings)
-    return None if count is None else _estimate(_mean_sum(trainings), count)
+    return None if count is None else over_trainings(_sums_of(trainings), count)
 
 
 def _count(sums: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, " e"] | None:
@@ -128,20 +127,5 @@ def _count(sums: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, " e"] | None:
     return np.asarray(sums[0]["n"], np.float64) if sums[0]["n"] else None
 
 
-def _estimate(total: Float[np.ndarray, " e"], count: Float[np.ndarray, " e"]) -> Estimate:
-    """The mean and its interval, from each episode's sum and number of samples."""
-    bootstrap = EpisodeBootstrap(np.arange(len(count)))
-    low, high = bootstrap.interval(np.stack([total, count], axis=1), lambda sums: sums[:, 0] / sums[:, 1])
-    return Estimate(
-        mean=float(total.sum() / count.sum()),
-        std=float((total / count).std()),
-        low=low,
-        high=high,
-        n=int(count.sum()),
-        episodes=len(count),
-    )
-
-
-def _mean_sum(seeds: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, " e"]:
-    sums: Float[np.ndarray, " e"] = np.mean([np.asarray(one["sum"], np.float64) for one in seeds], axis=0)
-    return sums
+def _sums_of(trainings: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, "k e"]:
+    return np.asarray([one["sum"] for one in trainings], np.float64)

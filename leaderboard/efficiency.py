@@ -13,7 +13,7 @@ some that have all of them.
 
 The interval is from a bootstrap: in each draw episodes are drawn anew, the same ones for all budgets, and so are
 trainings where there are several; the figure is found anew on each drawn curve. What drawn trainings differ from the
-mean of all, as a factor, is widened for their small number (``statistics.widening``).
+mean of all, as a factor, is widened for their small number (``trainings.widening``).
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.scoring.statistics import FEWEST_EPISODES, expanded_tail, widening
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES, expanded_tail
+from dmotion_bench.scoring.trainings import widening
 from leaderboard.row import Row
 from leaderboard.value import values_of
 

@@ -12,7 +12,7 @@ TO: Final = "\u00a0to\u00a0"
 
 
 def figure(value: Value | None, *, strong: bool = False) -> str:
-    """A mean with its 95% interval over episodes or, of published figures, their spread."""
+    """A mean with its 95% interval or, of published figures, their spread."""
     if value is None:
         return ""
     text = f"**{mean(value)}**" if strong else mean(value)

@@ -133,16 +133,17 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
                 element("li", f"Lower is better, except for {', '.join(HIGHER)}."),
                 element(
                     "li",
-                    "Small print under a number: \u201c95%\u201d is the interval of the mean over test episodes (a "
-                    "bootstrap), for the models as they were trained; \u201cseeds\u201d are the lowest and the highest "
-                    "of several trainings. In a published row it is what the paper's table has after \u00b1.",
+                    "Small print under a number: \u201c95%\u201d is the interval of the mean (a bootstrap), over test "
+                    "episodes and, where a row has several trainings, over these; \u201cseeds\u201d are the lowest and "
+                    "the highest of several trainings. In a published row it is what the paper's table has after "
+                    "\u00b1.",
                 ),
                 element(
                     "li",
                     "\u201cMSE above the best\u201d is the paired difference on the same test episodes. Of the MSE and "
                     "of control after the last step, the best row is bold, and so are the rows that are statistically "
-                    "tied with it: the interval of their difference reaches zero. Bold is about these trained models, "
-                    "not about other seeds.",
+                    "tied with it: the interval of their difference reaches zero. A row with a single training is "
+                    "compared as it was trained, which says nothing about its other seeds.",
                 ),
                 element(
                     "li",

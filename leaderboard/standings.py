@@ -211,8 +211,8 @@ def _extra_columns(board: Board, rows: Sequence[Row], ranks: str) -> dict[str, t
         return found
     if any(row.behind is not None for row in rows):
         meaning = (
-            "Paired over the test episodes, with the 95% interval of the difference; tied where the interval "
-            "reaches zero."
+            "Paired over the test episodes, with the 95% interval of the difference, which is over several trainings, "
+            "too; tied where the interval reaches zero."
         )
         found[BEHIND] = meaning, _behind
     if any(_compute(row) for row in rows):

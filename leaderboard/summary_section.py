@@ -32,8 +32,7 @@ INTERVALS: Final = (
     "With an IQM stands its 95% interval over trainings, a bootstrap within each world; of fewer than five it "
     "is too narrow. One training says nothing about others: there is no interval, and P(better) only tells in what "
     "share of the worlds this training was better. So the order is no ranking where a model has fewer than three "
-    "trainings. The intervals on the boards are another matter: they are over test "
-    "episodes, for the models as they were trained."
+    "trainings."
 )
 
 

@@ -19,7 +19,8 @@ class Value:
         low, high: The range over several seeds, or one seed's interval over episodes.
         std: Over samples, of a single seed or as published.
         seeds: How many it is the mean of; fewer than the row has where not all were scored on it.
-        interval: The 95% interval of the mean over episodes, of one seed or of several; None where it is not known.
+        interval: The 95% interval of the mean: over episodes and, of several seeds, over these; None where it is not
+            known.
         samples: That each seed was scored on: frames, or tasks; None where that is not known.
     """
 

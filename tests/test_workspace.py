@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import dmotion_bench as dm
-from dmotion_bench.errors import UsageError
+from dmotion_bench.errors import UnknownName, UsageError
 from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
@@ -59,3 +59,21 @@ def test_jobs_are_done_in_the_workspace_of_whoever_gives_them(tmp_path: Path) ->
 def test_what_is_no_path_is_a_sentence() -> None:
     with pytest.raises(UsageError, match="5 stands for no workspace; give one name, or one path"):
         dm.record("grid_world", "tiny", workspace=5)  # type: ignore[arg-type]
+
+
+def test_a_name_without_a_seed_stands_for_the_trainings_with_one(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path)
+    for name in ("a-s10", "a-s2", "a-b-s0", "b", "b-s0", "a-s2-c", "[a]-s1"):
+        (workspace.runs / name).mkdir(parents=True)
+        (workspace.runs / name / "run.json").write_text("{}")
+    (workspace.runs / "a-s3").mkdir()  # no run
+
+    def names(given: AnyPath) -> list[str]:
+        return [run.name for run in workspace.trainings(given)]
+
+    assert names("a") == names(workspace.runs / "a") == ["a-s2", "a-s10"]
+    assert names("[a]") == ["[a]-s1"]
+    assert names("a-s2") == ["a-s2"]
+    assert names("b") == ["b"]
+    with pytest.raises(UnknownName, match="no run named 'c'"):
+        workspace.trainings("c")

@@ -18,8 +18,8 @@ from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
-from dmotion_bench.pairing import Difference
 from dmotion_bench.registry import leaderboard_part
+from dmotion_bench.scoring.differences import Difference
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import shown
@@ -203,31 +203,33 @@ def leaderboard_check(
 
 @in_workspace
 def leaderboard_compare(
-    first: AnyPath,
-    second: AnyPath,
+    first: AnyPaths,
+    second: AnyPaths,
     *,
     data: AnyPath | None = None,
     split: SplitName = "test",
     workspace: AnyPath | None = None,
     warn: Callable[[str], None] = _LOG.warning,
 ) -> list[Difference]:
-    """Which of two runs is better, by their difference on the same frames and its interval.
+    """Which of two models is better, by their difference on the same frames and its interval.
 
     Args:
-        first, second: Scored runs, by folder or name.
+        first, second: A scored run, by folder or name, or several that differ in their seed alone, whose mean is
+            compared: all of them, or their name without the seed, such as ``dmotion-grid_world-small``.
         data: Another data set that both were scored on, by folder, name or address. Default: the one of the training.
         split: ``"test"`` or ``"validation"``: which episodes both were scored on.
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
         warn: Told in a sentence which figures are left out, since they were measured with different settings.
 
     Returns:
-        The difference of each figure that both have: ``difference`` with its 95% interval over episodes, and
-        ``verdict``.
+        The difference of each figure that both have: ``difference`` with its 95% interval over episodes and, of a
+        model with several trainings, over these, and ``verdict``.
 
     Raises:
         UnknownName, RunMissing: There is no such run, or it was not scored on this data set.
         DatasetMissing, DatasetIncomplete, DatasetCorrupt: The data set cannot be opened.
-        RunMismatch: They were not scored on the same frames, or all that both have with different settings.
+        RunMismatch: They were not scored on the same frames, or all that both have with different settings, or the
+            trainings of one model differ in more than their seed.
 
     Example:
         >>> report = dm.score("tiny", "prediction")
@@ -238,9 +240,22 @@ def leaderboard_compare(
     require_one_of("split", split, ("test", "validation"))
     place = Workspace.given(workspace)
     dataset = None if data is None else Dataset.open(place.dataset(data))
-    runs = place.run(first), place.run(second)
-    differences: list[Difference] = leaderboard_part("compare")(*runs, dataset, split, warn=warn)
+    models = [_trainings(place, one) for one in (first, second)]
+    differences: list[Difference] = leaderboard_part("compare")(*models, dataset, split, warn=warn)
     return differences
+
+
+def _trainings(place: Workspace, given: AnyPaths) -> list[Path]:
+    """The runs of a model that somebody named.
+
+    Raises:
+        UnknownName, RunMissing: There is no such run.
+        UsageError: No run was named.
+    """
+    named = listed(given)
+    if not named:
+        raise UsageError("no run was named; name one, or the trainings whose mean is compared.")
+    return place.trainings(named[0]) if len(named) == 1 else [place.run(one) for one in named]
 
 
 def built_page(workspace: Workspace | None = None) -> Path:

@@ -22,6 +22,7 @@ from dmotion_bench.planning.columns import COLUMNS, Column
 from dmotion_bench.planning.mpc import GROUP, STEPS, ControlProgress
 from dmotion_bench.scoring.control import ControlScoring, control_samples
 from dmotion_bench.scoring.control import score_reference as control_of_reference
+from dmotion_bench.scoring.differences import behind, standing_words
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
 from dmotion_bench.scoring.report import Report, read_report_samples, why_no_interval
@@ -36,6 +37,7 @@ from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 __all__ = [
     "ScoreSettings",
     "as_metrics",
+    "behind",
     "columns",
     "compute_device",
     "control_scoring",
@@ -44,6 +46,7 @@ __all__ = [
     "score",
     "score_references",
     "score_runs",
+    "standing_words",
     "why_no_interval",
 ]
 

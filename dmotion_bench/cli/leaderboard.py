@@ -6,6 +6,7 @@ The core knows no leaderboard: what the commands call comes through entry points
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -161,8 +162,15 @@ def check(
 
 @group.command()
 def compare(
-    first: Annotated[Path, typer.Argument(metavar="RUN", help="A scored run, by path or name.")],
-    second: Annotated[Path, typer.Argument(metavar="RUN", help="Another scored run of the same data set.")],
+    first: Annotated[
+        Path,
+        typer.Argument(
+            metavar="RUN",
+            help="A scored run, by path or name, or the mean of several trainings: their name without the seed, such "
+            "as dmotion-grid_world-small for dmotion-grid_world-small-s0, -s1 and -s2.",
+        ),
+    ],
+    second: Annotated[Path, typer.Argument(metavar="RUN", help="The same of another model on the same data set.")],
     data: Annotated[
         Path | None, typer.Option(help="Data set that both were scored on. Default: the one that they were trained on.")
     ] = None,
@@ -173,22 +181,24 @@ def compare(
     everything: Annotated[bool, typer.Option("--all", help="Compare every figure, not only the main ones.")] = False,
     as_json: AsJson = False,
 ) -> None:
-    """Tell which of two runs is better, by their difference on the same frames and its interval."""
+    """Tell which of two models is better, by their difference on the same frames and its interval."""
     from dmotion_bench.api.leaderboard import leaderboard_compare
     from dmotion_bench.workspace import Workspace
 
     require_one_of("split", split, ("test", "validation"))
-    one, other = (Workspace.current().run(run) for run in (first, second))
+    one, other = (Workspace.current().trainings(run) for run in (first, second))
     chosen: SplitName = "validation" if split == "validation" else "test"
     differences = leaderboard_compare(
         one, other, data=data, split=chosen, warn=lambda told: typer.echo(f"left out: {told}", err=True)
     )
     if as_json:
-        print_json({"first": str(one), "second": str(other), "differences": list(map(_plain, differences))})
+        named = {"first": _plain_runs(one), "second": _plain_runs(other)}
+        print_json(named | {"differences": list(map(_plain, differences))})
         return
     from dmotion_bench.cli.report_table import show_differences
 
-    show_differences(differences, one.name, other.name, everything=everything)
+    over = "episodes" if len(one) == len(other) == 1 else "episodes and trainings"
+    show_differences(differences, _name_of(one), _name_of(other), over, everything=everything)
 
 
 @group.command()
@@ -261,6 +271,19 @@ def _show_verdict(verdict: Any) -> None:
         typer.echo(f"    {finding}")
     for remark in verdict.remarks:
         typer.echo(f"    ({remark})")
+
+
+def _name_of(runs: Sequence[Path]) -> str:
+    """A run's name or, of several trainings, what their names have in common and their number."""
+    if len(runs) == 1:
+        return runs[0].name
+    stem, _, seeds = runs[0].name.rpartition("-s")
+    return f"{stem} ({len(runs)} trainings, s{seeds} to {runs[-1].name.rpartition('-')[2]})"
+
+
+def _plain_runs(runs: Sequence[Path]) -> str | list[str]:
+    """A run's folder or, of several trainings, those of all."""
+    return str(runs[0]) if len(runs) == 1 else list(map(str, runs))
 
 
 def _plain(difference: Any) -> dict[str, Any]:

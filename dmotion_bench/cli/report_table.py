@@ -156,8 +156,7 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
 
 def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]:
     """How much higher each run's MSE is than the first run's on the same triplets; empty if a run has no samples."""
-    from dmotion_bench.api.scoring import read_report_samples
-    from dmotion_bench.pairing import behind, standing_words
+    from dmotion_bench.api.scoring import behind, read_report_samples, standing_words
 
     samples = {
         path: found
@@ -175,8 +174,17 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
     return told
 
 
-def show_differences(differences: Sequence[Any], first: str, second: str, *, everything: bool = False) -> None:
-    """Print two runs' figures, their paired difference, and which run is better if the interval excludes zero."""
+def show_differences(
+    differences: Sequence[Any], first: str, second: str, over: str = "episodes", *, everything: bool = False
+) -> None:
+    """Print two models' figures, their paired difference, and which is better if the interval excludes zero.
+
+    Args:
+        differences: Of each figure.
+        first, second: The models' names.
+        over: What the intervals are over.
+        everything: Whether to show every figure, not only the main ones.
+    """
     rows: list[tuple[str, ...]] = []
     shown = set(_shown([one.figure for one in differences]))
     for one in differences:
@@ -185,7 +193,7 @@ def show_differences(differences: Sequence[Any], first: str, second: str, *, eve
             values = (rounded(one.first), rounded(one.second), rounded(estimate["mean"]), _interval(estimate))
             rows.append((figure_words(one.figure), *values, one.verdict))
     headings = ("figure", "first", "second", "first - second", "95% interval", "better")
-    show_figures(f"{first} against {second}, on the same held-out frames", headings, rows)
+    show_figures(f"{first} against {second}, on the same held-out frames; intervals over {over}", headings, rows)
 
 
 def _headline(report: Report) -> str:

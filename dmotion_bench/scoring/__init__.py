@@ -35,6 +35,8 @@
     overlap.py           which episodes of an import show what a run was trained on
     samples.py           the samples: one row for each predicted frame
     statistics.py        means, and their 95% intervals over episodes
+    trainings.py         the same of several trainings, with intervals over trainings, too
+    differences.py       paired differences of two models
     figures.py           the figures of a report, computed from the samples
     run_report.py        the report of a run, with what has to be borne in mind of each figure
     report.py            report.json and samples.parquet on disk

@@ -157,118 +157,13 @@ class EpisodeBootstrap:
         if len(present) < self._fewest:
             return None, None
         with np.errstate(divide="ignore", invalid="ignore"):
-            drawn = statistic(_draws(len(present), self._resamples, self._seed) @ present)
+            drawn = statistic(draws(len(present), self._resamples, self._seed) @ present)
         drawn = drawn[np.isfinite(drawn)]
         if not len(drawn):
             return None, None
         tail = expanded_tail(len(present))
         low, high = np.quantile(drawn, [tail, 1 - tail])
         return float(low), float(high)
-
-
-def paired_difference(
-    first: Float[np.ndarray, " n"],
-    second: Float[np.ndarray, " n"],
-    episodes: Shaped[np.ndarray, " n"],
-    *,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> Estimate | None:
-    """How much lower ``second`` is than ``first`` on the same samples: the mean of first - second.
-
-    Samples that are NaN or infinite in either are left out; None if none are left.
-    """
-    return EpisodeBootstrap(episodes, resamples=resamples, seed=seed).mean(first - second)
-
-
-def over_trainings(
-    sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"], *, resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate:
-    """The mean of several trainings of a model, with an interval over episodes and trainings: a two-level bootstrap.
-
-    Each draw takes whole episodes and, independently, trainings. The drawn trainings' distance from the mean of all is
-    widened for their small number as the quantiles are for that of episodes: by sqrt(k / (k - 1)) and by Student's t
-    instead of the normal. And it is scaled to what trainings truly differ by: means over the same episodes also differ
-    because each training does some tasks better by chance, which the draws of episodes hold already. Of one training
-    the interval is over episodes alone. Of a figure that is nowhere negative it does not reach below zero.
-    Over fewer than ``FEWEST_EPISODES`` episodes there is none.
-
-    Args:
-        sums: Of each training, each episode's sum over its samples.
-        counts: Each episode's number of samples.
-        resamples, seed: Of the draws.
-    """
-    trainings, episodes = sums.shape
-    each = sums.sum(axis=1) / counts.sum()
-    low = high = None
-    if episodes >= FEWEST_EPISODES:
-        drawn = _draws(episodes, resamples, seed)
-        means = drawn @ sums.T / (drawn @ counts)[:, None]
-        middle = means.mean(axis=1)
-        if trainings > 1:
-            generator = np.random.default_rng([seed, episodes, trainings])
-            share = generator.multinomial(trainings, np.full(trainings, 1 / trainings), size=resamples) / trainings
-            middle = middle + widening(sums, counts) * ((share * means).sum(axis=1) - middle)
-        tail = expanded_tail(episodes)
-        low, high = (float(one) for one in np.quantile(middle, [tail, 1 - tail]))
-        if (sums >= 0).all():
-            low = max(low, 0.0)
-    per_episode = sums.mean(axis=0) / counts
-    return Estimate(
-        mean=float(each.mean()),
-        std=float(per_episode.std()),
-        low=low,
-        high=high,
-        n=int(counts.sum()),
-        episodes=episodes,
-    )
-
-
-def widening(sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"]) -> float:
-    """By what the distance of drawn trainings' mean from that of all is multiplied; 1 for a single training.
-
-    Above 1 since they are few, below where what they differ by is mostly chance: see ``over_trainings``, also for the
-    arguments.
-    """
-    trainings = len(sums)
-    if trainings < 2:
-        return 1.0
-    spread = float((sums.sum(axis=1) / counts.sum()).var(ddof=1))
-    quantile = float(stdtrit(trainings - 1, (1 + LEVEL) / 2) / ndtri((1 + LEVEL) / 2))
-    true = math.sqrt(_between(sums, counts) / spread) if spread else 0.0
-    return math.sqrt(trainings / (trainings - 1)) * quantile * true
-
-
-def standard_error(
-    first: Float[np.ndarray, "k e"], second: Float[np.ndarray, "l e"], counts: Float[np.ndarray, " e"]
-) -> float:
-    """Of the paired difference of two models: over episodes and, of a model with several trainings, over these.
-
-    Args:
-        first, second: As ``over_trainings`` takes ``sums``.
-        counts: Likewise.
-    """
-    samples, episodes = counts.sum(), len(counts)
-    apart = first.mean(axis=0) - second.mean(axis=0)
-    off = apart - apart.sum() / samples * counts
-    variance = np.square(off).sum() / samples**2 * episodes / (episodes - 1)
-    for own in (first, second):
-        if len(own) > 1:
-            variance += _between(own, counts) / len(own)
-    return float(np.sqrt(variance))
-
-
-def _between(sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"]) -> float:
-    """The variance of what trainings come to on ever more episodes: that of their means, less the part of chance.
-
-    That part comes from what is left of each episode's sum without the training's and the episode's own level.
-    """
-    trainings, episodes = sums.shape
-    samples = counts.sum()
-    each = sums.sum(axis=1) / samples
-    off = sums - sums.mean(axis=0) - (each - each.mean())[:, None] * counts
-    chance = np.square(off).sum() / (trainings - 1) * episodes / (episodes - 1) / samples**2
-    return float(max(0.0, each.var(ddof=1) - chance))
 
 
 DETECTED: Final = 0.8
@@ -327,7 +222,7 @@ def expanded_tail(clusters: int, level: float = LEVEL) -> float:
 
 
 @lru_cache(maxsize=4)
-def _draws(episodes: int, resamples: int, seed: int) -> Float[np.ndarray, "r e"]:
+def draws(episodes: int, resamples: int, seed: int) -> Float[np.ndarray, "r e"]:
     """The number of times that each draw contains each episode."""
     generator = np.random.default_rng([seed, episodes])
     return generator.multinomial(episodes, np.full(episodes, 1 / episodes), size=resamples).astype(np.float64)

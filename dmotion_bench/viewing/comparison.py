@@ -14,7 +14,7 @@ from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
 from dmotion_bench.figure_words import figure_words
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.pairing import behind, standing_words
+from dmotion_bench.scoring.differences import behind, standing_words
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report, read_report_samples
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart

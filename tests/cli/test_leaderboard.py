@@ -161,6 +161,22 @@ def test_compare_takes_the_split_that_both_were_scored_on(run: Callable[..., Res
     assert run("compare", "a", "b", "--split", "train").exit_code != 0
 
 
+def test_compare_takes_all_trainings_whose_names_differ_in_the_seed(
+    run: Callable[..., Result], parts: Parts, tmp_path: Path
+) -> None:
+    for name in ("c-s10", "c-s2", "c-b-s0", "c-s2x"):
+        (tmp_path / "runs" / name).mkdir(parents=True)
+        (tmp_path / "runs" / name / "run.json").write_text("{}")
+    result = run("compare", "a", "c")
+    as_json = json.loads(run("compare", "a", "c", "--json").stdout)
+
+    trainings = [tmp_path / "runs" / name for name in ("c-s2", "c-s10")]
+    assert [asked[:2] for asked in parts.asked] == [([tmp_path / "runs/a"], trainings)] * 2
+    assert "a against c (2 trainings, s2 to s10)" in result.stdout
+    assert "intervals over episodes and trainings" in " ".join(result.stdout.split())
+    assert (as_json["first"], as_json["second"]) == (str(tmp_path / "runs/a"), list(map(str, trainings)))
+
+
 def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:
     found = json.loads(run("compare", "a", "b", "--json").stdout)
 

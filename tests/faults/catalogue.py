@@ -120,6 +120,13 @@ FAULTS = (
         tests=("tests/scoring/test_statistics.py",),
     ),
     Fault(
+        name="a difference of several trainings is one of these trainings alone",
+        file="dmotion_bench/scoring/trainings.py",
+        right="return middle * ratio**wider",
+        wrong="return middle * ratio ** (0 * wider)",
+        tests=("tests/scoring/test_trainings.py",),
+    ),
+    Fault(
         name="a lost object does not count in the judged distance",
         file="dmotion_bench/planning/tasks.py",
         right="return float(off[self._counted & present].sum() / self._initial) + self.lost(env)",

@@ -19,7 +19,8 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
-from dmotion_bench.scoring.statistics import detectable_difference, over_trainings, standard_error, wilson
+from dmotion_bench.scoring.statistics import detectable_difference, wilson
+from dmotion_bench.scoring.trainings import over_trainings, standard_error
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.sharing.run_share import share_of
 from dmotion_bench.specs import DatasetRecipe, SplitName

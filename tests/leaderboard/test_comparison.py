@@ -16,12 +16,13 @@ import pytest
 
 from dmotion_bench.cli.report_table import show_overview
 from dmotion_bench.errors import RunMismatch, RunMissing
-from dmotion_bench.pairing import _differences, behind, better, compare_runs, scored, standing
+from dmotion_bench.pairing import compare_runs, scored
 from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.differences import behind, better, differences, standing
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.report import Report, read_report, read_report_samples, write_report
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS, SampleRows
-from dmotion_bench.scoring.statistics import paired_difference
+from dmotion_bench.scoring.statistics import EpisodeBootstrap
 from dmotion_bench.workspace import Workspace
 from leaderboard.comparison import difference_by_episode, sums_by_episode
 
@@ -110,7 +111,7 @@ def test_sums_over_episodes_tell_the_same_as_the_samples(scored_workspace: Works
         ]
         rows = [[row for row in own if not figure.endswith("_push") or row["pushed"]] for own in rows]
         values = [np.array([row[figure.removesuffix("_push")] for row in own], float) for own in rows]
-        wanted = paired_difference(*values, np.array([row["episode"] for row in rows[0]]))
+        wanted = EpisodeBootstrap(np.array([row["episode"] for row in rows[0]])).mean(values[0] - values[1])
 
         found = difference_by_episode(*([sums_by_episode(table)[figure]] for table in tables))
 
@@ -134,6 +135,44 @@ def test_seeds_are_averaged_before_they_are_compared() -> None:
     assert found.mean == pytest.approx((3 - 1 + 4 - 2 + 2 - 1) / 7)
     assert difference_by_episode(seeds, [{**one[0], "n": [2, 4, 2]}]) is None
     assert difference_by_episode([], one) is None
+
+
+def test_several_trainings_are_compared_by_their_mean(scored_workspace: Workspace) -> None:
+    both, one = [scored_workspace.runs / S0, scored_workspace.runs / S1], scored_workspace.runs / CSWM
+    found = {one.figure: one for one in compare_runs(both, one)}
+    each = [{one.figure: one for one in compare_runs(run, one)} for run in both]
+    tables = [pq.read_table(run / "report/samples.parquet") for run in (*both, one)]
+    sums = [sums_by_episode(table) for table in tables]
+
+    assert found.keys() == each[0].keys()
+    for figure in ("mse", "mse_push", "psnr", "rollout_mse[2]"):
+        assert found[figure].first == pytest.approx(np.mean([own[figure].first for own in each]))
+        assert found[figure].difference.mean == pytest.approx(np.mean([own[figure].difference.mean for own in each]))
+    by_episode = difference_by_episode([own["mse"] for own in sums[:2]], [sums[2]["mse"]])
+    mse = found["mse"].difference
+    assert by_episode is not None
+    assert (mse.low, mse.high) == pytest.approx((by_episode.low, by_episode.high))
+    assert compare_runs([both[0]], [one]) == compare_runs(both[0], one)
+
+
+def test_only_trainings_that_differ_in_their_seed_have_a_mean(scored_workspace: Workspace) -> None:
+    first, second, other = (scored_workspace.runs / name for name in (S0, S1, CSWM))
+    with pytest.raises(RunMismatch, match=r"no trainings of one model: they differ in model, labels\."):
+        compare_runs([first, other], second)
+    with pytest.raises(RunMismatch, match="several of the trainings have the seed 1"):
+        compare_runs(first, [second, second])
+
+
+def test_a_metric_that_one_training_lacks_is_left_out(workspace: Workspace) -> None:
+    first, other = (_with_control(workspace, name, PLANNED, GainScoring()) for name in (S0, CSWM))
+    told = list[str]()
+    found = compare_runs([first, workspace.runs / S1], other, warn=told.append)
+
+    assert {one.figure for one in compare_runs(first, other)} > {one.figure for one in found} > {"mse"}
+    assert told == [
+        f"'{S1}' was not scored for {metric}, as other trainings were; score it for that, too."
+        for metric in ("gain", "control")
+    ]
 
 
 def test_runs_that_saw_other_frames_are_not_compared(workspace: Workspace) -> None:
@@ -305,7 +344,7 @@ def test_control_is_paired_by_task() -> None:
         )
 
     second = first + np.array([0, 0.05, 0.05, 0.0])
-    found = {one.figure: one for one in _differences(table(first, tasks), table(second, tasks[::-1]))}
+    found = {one.figure: one for one in differences([table(first, tasks)], [table(second, tasks[::-1])])}
 
     distances = {f"control_distance[{step}]" for step in (1, 2, 3)}
     assert set(found) == {*distances, "control_success", "control_lost"}

@@ -20,9 +20,10 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.pairing import _differences, compare_runs
+from dmotion_bench.pairing import compare_runs
 from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.recording.session import record_dataset
+from dmotion_bench.scoring.differences import differences
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.gain import GainScoring, _key, gain_tables, known_truth, reason_against
 from dmotion_bench.scoring.kept_gain import FORMAT, kept
@@ -91,12 +92,12 @@ def test_moments_of_two_stretches_at_one_frame_are_all_compared() -> None:
     first = first.set_column(first.column_names.index("step"), "step", frames)
     second = first.set_column(first.column_names.index("gain"), "gain", pa.array([0.25, 0.4, 0.1, 0.2], pa.float32()))
 
-    (found,) = _differences(first, second)
+    (found,) = differences([first], [second])
 
     assert found.difference.n == 4
     for mine, samples in ((found.first, first), (found.second, second)):
         assert mine == pytest.approx(figures_of(samples, MODEL)["planning_gain"].mean)
-    (fewer,) = _differences(first, second.filter(pc.greater(second["best_gain"], 0.41)))
+    (fewer,) = differences([first], [second.filter(pc.greater(second["best_gain"], 0.41))])
     assert (fewer.difference.n, fewer.first, fewer.second) == (1, pytest.approx(1.0), pytest.approx(0.5))
 
 

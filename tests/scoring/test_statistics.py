@@ -9,12 +9,8 @@ from scipy.stats import spearmanr
 from dmotion_bench.scoring.statistics import (
     FEWEST_EPISODES,
     EpisodeBootstrap,
-    detectable_difference,
     expanded_tail,
-    over_trainings,
-    paired_difference,
     rank_correlation,
-    standard_error,
     wilson,
 )
 
@@ -85,7 +81,6 @@ def test_too_few_episodes_have_no_interval_and_no_sample_no_figure(episodes: int
         bootstrap.mean(values),
         bootstrap.ratio(values, values + 1),
         bootstrap.explained(values, values + 1),
-        over_trainings(np.ones((3, episodes)), np.ones(episodes)),
     ]
 
     for estimate in in_all:
@@ -113,7 +108,7 @@ def test_a_paired_difference_sees_what_two_intervals_hide() -> None:
     hard = 10 * generator.normal(0, 1, 30)[episode]
     worse, better = hard + 1 + 0.1 * generator.normal(0, 1, 300), hard
 
-    difference = paired_difference(worse, better, episode)
+    difference = EpisodeBootstrap(episode).mean(worse - better)
     apart = [EpisodeBootstrap(episode).mean(values) for values in (worse, better)]
 
     assert difference is not None
@@ -127,71 +122,11 @@ def test_few_episodes_widen_the_interval_and_many_leave_it() -> None:
     assert expanded_tail(10) < 0.0125
 
 
-@pytest.mark.parametrize(("between", "trainings"), [(0.0, 3), (0.02, 3), (0.2, 3), (0.1, 1)])
-def test_the_interval_over_tasks_and_trainings_covers_the_truth(between: float, trainings: int) -> None:
-    """A training's own level differs by ``between``; one training's interval is about that training alone."""
-    generator = np.random.default_rng(4)
-    inside, trials, tasks = 0, 400, 60
-    for _ in range(trials):
-        levels = 0.5 + between * generator.normal(size=(trainings, 1))
-        task = 0.2 * generator.normal(size=(1, tasks))
-        values = levels + task + 0.15 * generator.normal(size=(trainings, tasks))
-        truth = 0.5 if trainings > 1 else float(levels[0, 0])
-        found = over_trainings(values, np.ones(tasks), resamples=400)
-        assert found.low is not None
-        assert found.high is not None
-        inside += found.low <= truth <= found.high
-
-    assert 0.92 <= inside / trials <= 0.975
-
-
-def test_over_one_training_it_is_the_interval_over_episodes() -> None:
-    generator = np.random.default_rng(5)
-    counts, values = np.array([2.0, 1.0, 3.0, 1.0, 2.0]), generator.random(9)
-    episode = np.repeat(np.arange(5), counts.astype(int))
-    alone = EpisodeBootstrap(episode).mean(values)
-    found = over_trainings(np.bincount(episode, values)[None], counts)
-
-    assert alone is not None
-    assert (found.mean, found.n) == (pytest.approx(alone.mean), 9)
-    assert (found.low, found.high) == pytest.approx((alone.low, alone.high))
-
-
-def test_an_interval_over_two_trainings_of_a_distance_does_not_reach_below_zero() -> None:
-    far_apart = np.array([[0.1] * 30, [0.9] * 30])
-    found = over_trainings(far_apart, np.ones(30))
-    assert found.low == 0.0
-    assert found.high is not None
-    assert found.high > 1
-    below = over_trainings(far_apart - 0.5, np.ones(30))  # of a figure that can be negative it does
-    assert below.low is not None
-    assert below.low < -0.5
-
-
 def test_a_share_has_wilsons_interval() -> None:
     assert wilson(6 / 20, 20) == pytest.approx((0.145, 0.519), abs=1e-3)  # Newcombe 1998, table I's kind of case
     assert wilson(48 / 50, 50) == pytest.approx((0.865, 0.989), abs=1e-3)
     assert wilson(0.0, 20)[0] == 0.0
     assert wilson(0.0, 20)[1] == pytest.approx(0.161, abs=1e-3)
-
-
-def test_the_smallest_detectable_difference_is_found_in_four_of_five_cases() -> None:
-    generator = np.random.default_rng(6)
-    tasks, between, each = 100, 0.03, 0.2
-    errors, found, trials = [], 0, 800
-    true_error = np.sqrt(2 * each**2 / (3 * tasks) + 2 * between**2 / 3)
-    apart = detectable_difference(true_error)
-    for _ in range(trials):
-        shared = generator.normal(size=tasks) * 0.3
-        one, other = (
-            shared + level + between * generator.normal(size=(3, 1)) + each * generator.normal(size=(3, tasks))
-            for level in (0.5 + apart, 0.5)
-        )
-        errors.append(standard_error(one, other, np.ones(tasks)))
-        found += abs(one.mean() - other.mean()) > 1.96 * true_error
-
-    assert found / trials == pytest.approx(0.8, abs=0.04)
-    assert np.sqrt(np.mean(np.square(errors))) == pytest.approx(true_error, rel=0.15)
 
 
 def test_the_rank_correlation_is_spearmans() -> None:

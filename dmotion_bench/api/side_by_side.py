@@ -18,9 +18,9 @@ from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest
+from dmotion_bench.learning.runs.start import TrainingRequest, resolve
 from dmotion_bench.learning.training.beginning import tell_changes
-from dmotion_bench.learning.training.table import Outcome, Row, rows, train_side_by_side, train_table
+from dmotion_bench.learning.training.table import Outcome, Row, job_of, rows, train_side_by_side, train_table
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import scored_report
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
@@ -100,13 +100,24 @@ class Hands:
         return not self.on_cluster and self.at_once(jobs) == 1
 
 
-def table_rows(dataset: Dataset) -> list[Row]:
-    """Every model with each of its label budgets on a data set."""
-    return list(rows(dataset))
+def table_rows(dataset: Dataset, seeds: Sequence[int] | None = None) -> list[Row]:
+    """Every model with each of its label budgets on a data set, with each seed, or with that of the request."""
+    return list(rows(dataset, (None,) if seeds is None else tuple(dict.fromkeys(seeds))))
+
+
+def seed_rows(request: TrainingRequest, dataset: Dataset, seeds: Sequence[int]) -> list[Row]:
+    """The trainings of a request with each seed.
+
+    Raises:
+        UnknownName, InvalidSetting, UsageError: The request asks for what cannot be trained.
+    """
+    resolve(request, dataset)
+    return [Row(model=request.model, labels=request.labels or "", seed=seed) for seed in dict.fromkeys(seeds)]
 
 
 def train_every(
     request: TrainingRequest,
+    chosen: Sequence[Row],
     dataset: Dataset,
     workspace: Workspace,
     hands: Hands,
@@ -116,16 +127,17 @@ def train_every(
     *,
     loaders: int | None = None,
 ) -> Iterator[Outcome]:
-    """Train every model with each of its label budgets; one that fails does not stop the rest.
+    """Train every row of a table; one that fails does not stop the rest.
 
     Each training computes with one thread if the request names no number, so that its weights do not depend on how
     many train beside each other.
 
     Args:
-        request: What holds for all of them; its model and labels are theirs.
+        request: What holds for all of them; its model, labels and seed are theirs.
+        chosen: The rows, those of one model and seed after each other.
         dataset: What they learn from.
         workspace: Where the runs are.
-        hands: Who trains. Rows of one model are one job.
+        hands: Who trains. Rows of one model and seed are one job.
         train: Trains one run to its end, where this process does it.
         trackers: That are told the curves, where others do it.
         warn: Told in a sentence of a run, where others do it, whose model was changed since it began.
@@ -134,16 +146,16 @@ def train_every(
     Yields:
         What became of each row, as they end.
     """
-    models = len({row.model for row in table_rows(dataset)})
-    if hands.in_turn(models):
+    jobs = len(set(map(job_of, chosen)))
+    if hands.in_turn(jobs):
 
         def train_alone(run: Run) -> None:
             with using_threads(_threads(request)):
                 train(run)
 
-        yield from train_table(request, dataset, workspace, train_alone)
+        yield from train_table(request, dataset, workspace, train_alone, chosen)
         return
-    at_once = _trained_at_once(request, dataset, workspace, hands, models, trackers, loaders)
+    at_once = _trained_at_once(request, chosen, dataset, workspace, hands, jobs, trackers, loaders)
     with contextlib.closing(at_once) as outcomes:
         for outcome in outcomes:
             if outcome.run is not None:
@@ -158,20 +170,21 @@ def _threads(request: TrainingRequest) -> int:
 
 def _trained_at_once(
     request: TrainingRequest,
+    chosen: Sequence[Row],
     dataset: Dataset,
     workspace: Workspace,
     hands: Hands,
-    models: int,
+    jobs: int,
     trackers: tuple[str, ...],
     loaders: int | None,
 ) -> Generator[Outcome]:
     if not request.stream and not dataset.cache_file.lacking():
         dataset.cache()  # once, and not by every job
-    threads, total = _threads(request), len(table_rows(dataset))
+    threads, total = _threads(request), len(chosen)
     with jobs_folder(workspace) as folder:
         name = hands.executor or "local"
         size = hands.job_size(processors=threads)
-        executor = make_executor(name, hands.at_once(models), scratch=folder / name, size=size)
+        executor = make_executor(name, hands.at_once(jobs), scratch=folder / name, size=size)
         hands.count(0, total)
         outcomes = train_side_by_side(
             request,
@@ -183,6 +196,7 @@ def _trained_at_once(
             progress=folder,
             trackers=trackers,
             loaders=loaders,
+            chosen=chosen,
         )
         with watching(folder, hands.watch), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):

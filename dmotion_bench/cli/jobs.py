@@ -40,7 +40,9 @@ def require_all(name: str, workers: int | None, executor: str | None) -> None:
     from dmotion_bench.errors import UsageError
 
     if given := [option for option, value in (("--workers", workers), ("--executor", executor)) if value]:
-        raise UsageError(f"{' and '.join(given)} shares many runs among workers; give --all to {name} them.")
+        raise UsageError(
+            f"{' and '.join(given)} shares many runs among workers; give --all or --seeds to {name} several."
+        )
 
 
 @contextlib.contextmanager

@@ -154,7 +154,7 @@ def check(
             _show_verdict(verdict)
     failed = sum(bool(verdict.findings) for verdict in verdicts)
     unknown = sum(not verdict.holds for verdict in verdicts) - failed
-    told = [f"{failed} of {len(verdicts)} entries do not hold"] if failed else []
+    told = [f"{failed} of {len(verdicts)} entries {'does' if failed == 1 else 'do'} not hold"] if failed else []
     told += [f"{unknown} of {len(verdicts)} could not be checked here"] if unknown else []
     if told:
         raise RunError("; ".join(told) + ".")

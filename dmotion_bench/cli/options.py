@@ -97,3 +97,25 @@ ColumnName = Annotated[
         help=f"{_BY_COLUMN} The tasks must be new to the run: name their data set with '--data'.",
     ),
 ]
+
+
+def names(text: str | None) -> list[str] | None:
+    """The names of a list with commas."""
+    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
+
+
+def numbers(option: str, text: str | None) -> list[int] | None:
+    """The whole numbers of a list with commas.
+
+    Raises:
+        UsageError: One is none, or none is there.
+    """
+    from dmotion_bench.errors import UsageError
+    from dmotion_bench.wording import shown
+
+    if (parts := names(text)) is None:
+        return None
+    wrong = next((part for part in parts if not (part.isascii() and part.isdecimal() and len(part) < 16)), None)
+    if wrong is not None or not parts:
+        raise UsageError(f"{option} holds {shown(wrong) if parts else 'nothing'}; give whole numbers, such as 0,1,2.")
+    return list(map(int, parts))

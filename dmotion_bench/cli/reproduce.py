@@ -11,7 +11,7 @@ import typer
 
 from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.options import TABLES, AsJson, Device, listed
+from dmotion_bench.cli.options import TABLES, AsJson, Device, listed, names, numbers
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.specs import Preset
 
@@ -97,7 +97,12 @@ def reproduce(
     require_one_of("executor", executor, EXECUTORS)
     use_cache(cache)
     plan = plan_table(
-        table, preset=preset, seeds=_numbers(seeds), models=_names(models), worlds=_names(worlds), workspace=None
+        table,
+        preset=preset,
+        seeds=numbers("--seeds", seeds),
+        models=names(models),
+        worlds=names(worlds),
+        workspace=None,
     )
     hands = Hands(executor=executor, workers=workers, device=device)
     with progress_bar() as bar:
@@ -117,21 +122,6 @@ def reproduce(
             "interrupted; run the same command again to go on where it stopped, with '--dry-run' to see what is left."
         ) from None
     _tell(made, as_json)
-
-
-def _names(text: str | None) -> list[str] | None:
-    return None if text is None else [part.strip() for part in text.split(",") if part.strip()]
-
-
-def _numbers(text: str | None) -> list[int] | None:
-    from dmotion_bench.errors import UsageError
-    from dmotion_bench.wording import shown
-
-    if (names := _names(text)) is None:
-        return None
-    if wrong := next((name for name in names if not (name.isascii() and name.isdecimal() and len(name) < 16)), None):
-        raise UsageError(f"--seeds holds {shown(wrong)}; give whole numbers, such as 0,1,2.")
-    return list(map(int, names))
 
 
 @contextlib.contextmanager

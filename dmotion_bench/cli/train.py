@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,20 +15,16 @@ from dmotion_bench.api.settings import DEVICES, LARGEST_SEED, TRACKERS, as_prese
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import executor_option, require_all, workers_option
 from dmotion_bench.cli.live import Live, LiveTo, following
-from dmotion_bench.cli.options import AsJson, Device, listed
+from dmotion_bench.cli.options import AsJson, Device, listed, numbers
 from dmotion_bench.cli.stdout import own_stdout, print_json
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
-    from dmotion_bench.api.side_by_side import Hands
     from dmotion_bench.learning.runs.run import Conditions, Run
-    from dmotion_bench.learning.runs.start import TrainingRequest
-    from dmotion_bench.learning.training.table import Outcome
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.viewing.follow import Follower
-    from dmotion_bench.workspace import Workspace
 
 
 def register(app: typer.Typer) -> None:
@@ -78,6 +74,14 @@ def train(
     seed: Annotated[
         int, typer.Option(min=0, max=LARGEST_SEED, help="Seed of the weights, the batches and the demonstrations.")
     ] = 0,
+    seeds: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SEED,SEED...",
+            help="Train once with each of these seeds, such as 0,1,2, several at a time. Also with --all.",
+            show_default=False,
+        ),
+    ] = None,
     split: Annotated[
         str,
         typer.Option(
@@ -128,10 +132,10 @@ def train(
     workers: Annotated[
         int | None,
         workers_option(
-            "With --all: how many jobs run at a time. Default: as many as there are processors and memory for."
+            "With --all or --seeds: how many jobs run at a time. Default: as many as there are processors and memory for."
         ),
     ] = None,
-    executor: Annotated[str | None, executor_option("With --all: where the jobs run")] = None,
+    executor: Annotated[str | None, executor_option("With --all or --seeds: where the jobs run")] = None,
     stream: Annotated[
         bool | None,
         typer.Option(
@@ -177,39 +181,29 @@ def train(
         trackers = known_trackers(log)
     use_cache(cache)
     workspace = Workspace.current()
-    if everything:
-        own = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings, "--out": out, "--resume": resume}
-        own |= {"--live": live, "--live-to": live_to, "--devices": devices > 1, "--nodes": nodes > 1}
-        if extra := [name for name, value in own.items() if value]:
-            raise UsageError(f"--all chooses these for every model; leave out {' and '.join(extra)}.")
+    if everything or seeds is not None:
+        one = {"--out": out, "--resume": resume, "--live": live, "--live-to": live_to}
+        one |= {"--devices": devices > 1, "--nodes": nodes > 1, "--seed": bool(seed) and seeds is not None}
+        every = {"MODEL": model, "--labels": labels, "--arch": arch, "--set": settings} if everything else {}
+        if extra := [name for name, value in (every | one).items() if value]:
+            why = "--all chooses these for every model" if everything else "--seeds makes several runs"
+            raise UsageError(f"{why}; leave out {' and '.join(extra)}.")
         if place().world > 1:
-            raise UsageError("torchrun shares one training among processes; '--all --workers N' shares many trainings.")
-        from dmotion_bench.api.side_by_side import Hands
-        from dmotion_bench.api.training import TrainingRequest
-
-        asked = TrainingRequest(
-            model="",
-            preset=preset,
-            seed=seed,
-            protocol="paper" if split == "paper" else "episode",
-            threads=threads,
-            stream=stream,
-        )
-        hands = Hands(executor=executor, workers=workers, device=device)
-        _train_all(asked, workspace, data, hands, trackers, loaders, as_json)
-        return
-    require_all("train", workers, executor)
-    if model is None:
+            raise UsageError("torchrun shares one training among processes; '--workers N' shares many trainings.")
+    else:
+        require_all("train", workers, executor)
+    if model is None and not everything:
         raise UsageError(
             "no model is named; name one ('dmbench list models' lists them), or give --all to train every model."
         )
-    model_class(model)  # a misspelt name is said before anything is loaded
+    if model is not None:
+        model_class(model)  # a misspelt name is said before anything is loaded
 
     from dmotion_bench.api.training import TrainingRequest, begin, require_sharing
     from dmotion_bench.storage.dataset import Dataset
 
     request = TrainingRequest(
-        model=model,
+        model=model or "",
         labels=labels,
         preset=preset,
         arch=arch,
@@ -219,6 +213,14 @@ def train(
         threads=threads,
         stream=stream,
     )
+    if everything or seeds is not None:
+        from dmotion_bench.api.side_by_side import Hands
+        from dmotion_bench.cli.train_many import train_many
+
+        hands = Hands(executor=executor, workers=workers, device=device)
+        own = partial(train_run, device=device, trackers=trackers, loaders=loaders)
+        train_many(request, numbers("--seeds", seeds), data, hands, own, trackers, loaders, as_json)
+        return
     dataset = Dataset.open(workspace.dataset(data))
     run = begin(request, dataset, workspace, out, resume=resume)
     together = place()
@@ -299,69 +301,6 @@ def _conditions(conditions: Conditions) -> str:
     tried |= {f"with threads: {count}": seconds for count, seconds in conditions.threads_probe.items()}
     taken = ", ".join(f"{seconds:.3g} s {how}" for how, seconds in tried.items())
     return f"{conditions.precision} with {threads}" + (f"; before the training a step took {taken}" if taken else "")
-
-
-def _train_all(
-    request: TrainingRequest,
-    workspace: Workspace,
-    data: Path | None,
-    hands: Hands,
-    trackers: tuple[str, ...],
-    loaders: int | None,
-    as_json: bool,
-) -> None:
-    """Train every model with each of its budgets; raises an error at the end if one of them failed."""
-    from dmotion_bench.api.side_by_side import table_rows, train_every
-    from dmotion_bench.cli.jobs import jobs_bar
-    from dmotion_bench.errors import RunError
-    from dmotion_bench.storage.dataset import Dataset
-
-    dataset = Dataset.open(workspace.dataset(data))
-    wanted = table_rows(dataset)
-    with jobs_bar(f"training {dataset.name}") as (count, watch):
-        outcomes = train_every(
-            request,
-            dataset,
-            workspace,
-            replace(hands, count=count, watch=watch),
-            lambda run: train_run(run, dataset, hands.device, trackers=trackers, loaders=loaders),
-            trackers,
-            warn=lambda told: typer.echo(told, err=True),
-            loaders=loaders,
-        )
-        told = {outcome.row: _told(outcome, as_json) for outcome in outcomes}
-    rows = [told[row] for row in wanted]
-    if as_json:
-        print_json({"rows": rows})
-    failed = [row["model"] for row in rows if row["error"] and not row["busy"]]
-    busy = [row["model"] for row in rows if row["busy"]]
-    said = [f"{len(failed)} of {len(rows)} trainings failed: {', '.join(failed)}"] if failed else []
-    said += [f"another process is at {len(busy)} of {len(rows)} trainings: {', '.join(busy)}"] if busy else []
-    if said:
-        when = "" if failed else " later"
-        raise RunError(f"{'; '.join(said)}; run the same command{when} to try them again.")
-    if not as_json:
-        typer.echo("Score them with 'dmbench score --all'.")
-
-
-def _told(outcome: Outcome, as_json: bool) -> dict[str, Any]:
-    """What became of a row of the table; it is printed, unless all are at the end."""
-    from dmotion_bench.cli.progress import duration, note
-
-    row: dict[str, Any] = {"model": outcome.row.model, "budget": outcome.row.labels}
-    row |= {"error": outcome.error, "busy": outcome.busy}
-    if outcome.run is not None:
-        row["run"] = str(outcome.run.path)
-        result = outcome.run.result or {}
-        row |= {name: result[name] for name in ("steps", "triplets_per_s", "seconds") if name in result}
-        row["labels"] = result.get("labels_total")
-    if as_json:
-        if outcome.error is not None:
-            note(f"{row['model']} {row['budget']}: {outcome.error}")
-    else:
-        done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
-        typer.echo(f"{row['model']:16s} {row['budget']:9s} {done}")
-    return row
 
 
 def train_run(

@@ -78,7 +78,8 @@ def _drawn(
         found = (share * means).sum(axis=1)
         if (sums >= 0).all():
             ratio = np.divide(found, middle, out=np.ones_like(found), where=middle > 0)
-            return middle * ratio**wider
+            middle *= ratio**wider
+            return middle
         middle = middle + wider * (found - middle)
     return middle
 

@@ -126,7 +126,7 @@ def test_check_tells_what_does_not_hold_and_fails(run: Callable[..., Result], pa
     assert "    mse.mean is said to be 1 and is 2" in result.stdout
     assert "not checked    away" in result.stdout
     assert isinstance(result.exception, RunError)
-    assert str(result.exception) == "1 of 3 entries do not hold; 1 of 3 could not be checked here."
+    assert str(result.exception) == "1 of 3 entries does not hold; 1 of 3 could not be checked here."
 
 
 def test_check_is_silent_about_sound_entries(run: Callable[..., Result], parts: Parts) -> None:

@@ -52,6 +52,58 @@ def test_all_rows_are_trained_once(run: Command, tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_several_seeds_are_the_trainings_of_each(
+    run: Command, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, workers: str
+) -> None:
+    asked = ("--labels", "2-shot", "--set", "warp=true", "--json")
+    alone = json.loads(
+        run("train", "dmotion", *asked, "--seed", "4", "--threads", "1", "--out", str(tmp_path / "alone")).out
+    )
+    outcome = run("train", "dmotion", *asked, "--seeds", "0,4,0", "--workers", workers)
+    assert outcome.code == 0
+    rows = json.loads(outcome.out)["rows"]
+    runs = [Run.open(row["run"]) for row in rows]
+    assert [(row["model"], row["budget"], row["seed"], row["labels"]) for row in rows] == [
+        ("dmotion", "2-shot", 0, 8),
+        ("dmotion", "2-shot", 4, 8),
+    ]
+    assert [own.path.name for own in runs] == [f"dmotion-walk-tiny-2-shot-warp_true-s{seed}" for seed in (0, 4)]
+    alike = [own.result["weights"] for own in (Run.open(alone["run"]), runs[1]) if own.result is not None]
+    assert alike[0] == alike[1]
+
+
+@pytest.mark.slow
+def test_all_models_are_trained_with_several_seeds(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(table, "model_names", lambda: ["ed-cnn", "ed-cnm"])
+    monkeypatch.setitem(table.BUDGETS, Supervision.ACTIONS, ("100%",))
+    outcome = run("train", "--all", "--seeds", "1,2", "--workers", "1")
+    assert outcome.code == 1
+    assert "2 of 4 trainings failed: ed-cnm s1, ed-cnm s2; run the same command" in outcome.sentence()
+    trained = [line.split()[:3] for line in outcome.out.splitlines()[:2]]
+    assert trained == [["ed-cnn", "s1", "100%"], ["ed-cnn", "s2", "100%"]]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("dmotion", "--seeds", "0,x"), "--seeds holds 'x'; give whole numbers, such as 0,1,2."),
+        (("dmotion", "--seeds", ""), "--seeds holds nothing; give whole numbers, such as 0,1,2."),
+        (("dmotion", "--seeds", "1", "--seed", "2"), "--seeds makes several runs; leave out --seed."),
+        (("dmotion", "--seeds", "1", "--out", "a", "--devices", "2"), "leave out --out and --devices."),
+        (("--all", "--seeds", "1", "--set", "epochs=1"), "--all chooses these for every model; leave out --set."),
+        (("--seeds", "1"), "no model is named"),
+        (("ed-cnn", "--seeds", "1"), "give it a share of them"),
+        (("dmotion", "--workers", "2"), "give --all or --seeds to train several."),
+    ],
+)
+def test_what_several_seeds_cannot_share_is_refused(run: Command, words: tuple[str, ...], told: str) -> None:
+    outcome = run("train", *words)
+    assert outcome.code == 2
+    assert told in outcome.sentence()
+
+
+@pytest.mark.slow
 def test_a_failing_row_is_said_and_the_rest_trained(run: Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(table, "model_names", lambda: ["ed-cnm", "lapo"])
     monkeypatch.setitem(table.BUDGETS, Supervision.NONE, ("one-shot",))

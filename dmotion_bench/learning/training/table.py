@@ -1,9 +1,9 @@
-"""The training of all registered models with each of their label budgets: one run per row of the table.
+"""Many trainings: all registered models with each of their label budgets, or some with several seeds.
 
-Rows are independent. A row that is trained already is taken as it is, one that was interrupted goes on, one that fails
-is noted with its sentence, and the next is trained.
+Each is a run, and a row of a table. Rows are independent. A row that is trained already is taken as it is, one that was
+interrupted goes on, one that fails is noted with its sentence, and the next is trained.
 
-Several models can be trained beside each other, by an executor. The rows of one model stay one job, in their order:
+Several can be trained beside each other, by an executor. The rows of one model and seed stay one job, in their order:
 they share the training that needs no labels (``shared_pretraining.py``).
 """
 
@@ -53,15 +53,18 @@ TRANSITIONS = ("64", "16", "256")
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A model under a label budget.
+    """A model under a label budget, trained with a seed.
 
     Attributes:
         model: Registry name.
-        labels: The budget; empty where the model could not be loaded and its budgets are not known.
+        labels: The budget; empty for the model's usual one, or where the model could not be loaded and its budgets are
+            not known.
+        seed: None for that of the request.
     """
 
     model: str
     labels: str
+    seed: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,15 +94,15 @@ def budgets(kind: type[ForwardModel[Any]], actions: ActionSpec | None) -> tuple[
     return named
 
 
-def rows(dataset: Dataset) -> Iterator[Row]:
-    """Every registered model under each of its budgets; where actions are not known, what needs none, without."""
+def rows(dataset: Dataset, seeds: Sequence[int | None] = (None,)) -> Iterator[Row]:
+    """Every registered model with each seed under each of its budgets; where actions are not known, what needs none."""
     for name in model_names():
         named: tuple[str, ...] = ("",)  # of what cannot be loaded; said when the row is trained
         with contextlib.suppress(DmbenchError):
             kind = model_class(name)
             named = budgets(kind, dataset.spec.actions)
-        for labels in named:
-            yield Row(model=name, labels=labels)
+        for seed, labels in itertools.product(seeds, named):
+            yield Row(model=name, labels=labels, seed=seed)
 
 
 def train_table(
@@ -112,7 +115,7 @@ def train_table(
     """Train every row in turn.
 
     Args:
-        request: What holds for all rows: preset, seed and split; model and labels are the row's.
+        request: What holds for all rows: preset and split; model, labels and the seed, if it has one, are the row's.
         dataset: What all learn from.
         workspace: Where the runs are.
         train: Trains one run to its end.
@@ -121,7 +124,8 @@ def train_table(
     for row in rows(dataset) if chosen is None else chosen:
         run = None
         try:
-            wanted = dataclasses.replace(request, model=row.model, labels=row.labels or None)
+            seed = request.seed if row.seed is None else row.seed
+            wanted = dataclasses.replace(request, model=row.model, labels=row.labels or None, seed=seed)
             run = open_run(wanted, dataset, None, workspace)
             train(run)
         except StorageFull:
@@ -137,7 +141,7 @@ def train_table(
 
 @dataclass(frozen=True, kw_only=True)
 class TableJob:
-    """The rows of one model, as plain values, so that they can be sent anywhere.
+    """The rows of one model and seed, as plain values, so that they can be sent anywhere.
 
     Attributes:
         request, rows: See ``train_table``.
@@ -207,7 +211,7 @@ class RowResult:
 
 
 def train_rows(job: TableJob) -> list[RowResult]:
-    """Train the rows of one model in the present process, which computes with as many threads as before afterwards."""
+    """Train the rows of a job in the present process, which computes with as many threads as before afterwards."""
     before = torch.get_num_threads()
     torch.set_num_threads(job.threads)
     try:
@@ -249,8 +253,9 @@ def train_side_by_side(
     progress: Path | None = None,
     trackers: tuple[str, ...] = (),
     loaders: int | None = None,
+    chosen: Iterable[Row] | None = None,
 ) -> Generator[Outcome]:
-    """Train every row, several models at a time; the outcomes come as they are ready.
+    """Train every row, several models and seeds at a time; the outcomes come as they are ready.
 
     A run's weights are those of ``train_table`` with as many threads.
 
@@ -262,6 +267,7 @@ def train_side_by_side(
         progress: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
         trackers: See ``train``.
         loaders: Threads of each that read the compressed files of a run that streams them; None for the usual number.
+        chosen: Which rows, those of one model and seed after each other; all by default.
     """
     jobs = [
         TableJob(
@@ -271,13 +277,18 @@ def train_side_by_side(
             workspace=workspace.root.absolute(),
             device=device,
             threads=threads,
-            progress=None if progress is None else progress / f"{model}.json",
+            progress=None if progress is None else progress / f"{model}{'' if seed is None else f'-s{seed}'}.json",
             trackers=trackers,
             loaders=loaders,
         )
-        for model, own in itertools.groupby(rows(dataset), key=lambda row: row.model)
+        for (model, seed), own in itertools.groupby(rows(dataset) if chosen is None else chosen, key=job_of)
     ]
     yield from train_jobs(jobs, executor)
+
+
+def job_of(row: Row) -> tuple[str, int | None]:
+    """What the rows of one job have in common."""
+    return row.model, row.seed
 
 
 def train_jobs(jobs: Sequence[TableJob], executor: Executor) -> Generator[Outcome]:
@@ -308,7 +319,7 @@ def _what_is_trained(job: TableJob, why: JobsLost) -> Iterator[Outcome]:
 
 def _said(run: Run, report: Report) -> JobProgress:
     return JobProgress(
-        what=f"{run.spec.model} {run.spec.labels}",
+        what=f"{run.spec.model} {run.spec.labels}, seed {run.spec.seed}",
         done=report.step,
         total=report.steps,
         status=f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s",

@@ -132,7 +132,8 @@ def train(
     workers: Annotated[
         int | None,
         workers_option(
-            "With --all or --seeds: how many jobs run at a time. Default: as many as there are processors and memory for."
+            "With --all or --seeds: how many jobs run at a time. Default: as many as there are processors and memory "
+            "for."
         ),
     ] = None,
     executor: Annotated[str | None, executor_option("With --all or --seeds: where the jobs run")] = None,

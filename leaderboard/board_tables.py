@@ -13,6 +13,7 @@ from dmotion_bench.wording import rounded
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
+from leaderboard.comparison import GAIN_CAPTURED
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.label_table import label_lines
 from leaderboard.markdown import WIDTH, code, paragraph, plain, table
@@ -145,9 +146,19 @@ def _predictions(board: Board) -> list[str]:
         "15 ahead": lambda row: mean(row.figures.get("rollout_mse[15]")),
         f"{POSITION_CHARGED} [px]": lambda row: figure(row.figures.get("position_error_paper")),
         f"{POSITION_FOUND} [px]": lambda row: mean(row.figures.get("position_error")),
-        "Gain captured": lambda row: _formatted(row.figures.get("planning_gain"), ".2f"),
+        "Gain captured": _gain,
     }
     return _lines(columns, rows)
+
+
+def _gain(row: Row) -> str:
+    """The gain captured, with its interval if it is of all trainings of the row and their entries tell it."""
+    value = row.figures.get(GAIN_CAPTURED)
+    text = _formatted(value, ".2f")
+    if value is None or value.interval is None or value.seeds < row.seeds:
+        return text
+    low, high = value.interval
+    return f"{text} ({low:.2f}{TO}{high:.2f})"
 
 
 def _control(board: Board) -> list[str]:

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from dmotion_bench.pairing import compare_runs, scored
 from dmotion_bench.scoring.differences import CONTROL_DISTANCES, Difference, better
 from dmotion_bench.scoring.figures import PUSH, figures_of
-from dmotion_bench.scoring.samples import column
+from dmotion_bench.scoring.samples import GAIN, column
 from dmotion_bench.scoring.statistics import EARLIER_FEWEST, Estimate
 from dmotion_bench.scoring.trainings import difference_over_trainings, over_trainings
 
@@ -33,6 +33,9 @@ __all__ = [
 
 PARTS: Final = ("mean", "std", "low", "high", "n")
 """Of a figure in an entry. The number of its episodes, which a report has, is that of the sums by episode."""
+
+GAIN_CAPTURED: Final = "planning_gain"
+"""The figure whose sums an entry may have; those from before 2026-11-29 do not."""
 
 BY_EPISODE: Final = ("mse", "mse_push", "position_error_paper")
 """Figures whose sums stand in an entry. Which frames have a value is a matter of the true frames alone."""
@@ -69,7 +72,8 @@ def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
     """For some figures, each episode's sum over its samples, and how many they are.
 
     They are those of ``BY_EPISODE``, and of control the distance at the end, over the tasks of an episode: that of
-    positions or, where pictures judge, of pictures.
+    positions or, where pictures judge, of pictures. Of the gain captured they are the gains of an episode's moments
+    and, in the place of their number, what could be gained at these.
     """
     mine = samples.filter(pc.equal(samples["predictor"], "model"))
     single = mine.filter(pc.equal(mine["metric"], "prediction"))
@@ -81,6 +85,12 @@ def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
             counted = np.isfinite(values) & (pushed if figure.endswith(PUSH) else True)
             if counted.any():
                 found[figure] = _sums(episode[counted], values[counted])
+    gained = mine.filter(pc.equal(mine["metric"], GAIN))
+    if len(gained):
+        gain, best = (column(gained, name).astype(np.float64) for name in ("gain", "best_gain"))
+        counted = np.isfinite(gain) & np.isfinite(best) & (best > 0)
+        if counted.any():
+            found[GAIN_CAPTURED] = _sums(column(gained, "episode")[counted], gain[counted], best[counted])
     for metric, figure in CONTROL_DISTANCES.items():
         controlled = mine.filter(pc.equal(mine["metric"], metric))
         if not len(controlled):
@@ -92,11 +102,13 @@ def sums_by_episode(samples: pa.Table) -> dict[str, dict[str, list[Any]]]:
     return found
 
 
-def _sums(episode: Int[np.ndarray, " n"], values: Float[np.ndarray, " n"]) -> dict[str, list[Any]]:
+def _sums(
+    episode: Int[np.ndarray, " n"], values: Float[np.ndarray, " n"], wholes: Float[np.ndarray, " n"] | None = None
+) -> dict[str, list[Any]]:
     numbers, index = np.unique(episode, return_inverse=True)
     return {
         "episode": numbers.tolist(),
-        "n": np.bincount(index).tolist(),
+        "n": np.bincount(index, wholes).tolist(),
         "sum": np.bincount(index, values).tolist(),
     }
 

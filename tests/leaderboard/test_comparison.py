@@ -124,6 +124,22 @@ def test_sums_over_episodes_tell_the_same_as_the_samples(scored_workspace: Works
         assert found.n == wanted.n
 
 
+def test_sums_of_the_gain_captured_tell_the_same_as_the_samples(workspace: Workspace) -> None:
+    first, second = (_with_control(workspace, name, PLANNED, GainScoring()) for name in (S0, CSWM))
+    samples = [scored(run)[1] for run in (first, second)]
+    better_one = samples[1].set_column(
+        samples[1].column_names.index("gain"), "gain", pc.multiply(samples[1]["gain"], 0.5).cast(pa.float32())
+    )
+    tables = [samples[0], better_one]
+    sums = [sums_by_episode(table)["planning_gain"] for table in tables]
+    (wanted,) = (one for one in differences(*([table] for table in tables)) if one.figure == "planning_gain")
+    found = difference_by_episode(sums[:1], sums[1:])
+
+    assert found is not None
+    assert found.mean == pytest.approx(wanted.difference.mean)
+    assert (found.low, found.high) == pytest.approx((wanted.difference.low, wanted.difference.high))
+
+
 def test_seeds_are_averaged_before_they_are_compared() -> None:
     episodes = {"episode": [3, 5, 9], "n": [2, 4, 1]}
     seeds = [{**episodes, "sum": [2.0, 8.0, 1.0]}, {**episodes, "sum": [4.0, 0.0, 3.0]}]

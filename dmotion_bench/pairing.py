@@ -57,6 +57,11 @@ def scored(run: Path, folder: Path | None = None, dataset: ReadableDataset | Non
     there, split = (folder.parent, ("--split", folder.name)) if folder.name in SPLIT_NAMES else (folder, ())
     data = str(dataset.path) if dataset is not None else there.name if there.parent.name == TRANSFERS else None
     score = command("dmbench score", run, *(() if data is None else ("--data", data)), *split)
+    if report is None and not _has_ended(run):
+        raise RunMissing(
+            f"the training of {str(run)!r} has not ended, so it cannot be scored; continue it with the command that "
+            "began it, or delete the folder."
+        )
     if report is None or samples is None:
         raise RunMissing(f"the run {str(run)!r} has no whole report; score it with {score}.")
     if dataset is not None and report.dataset["fingerprint"] != dataset.fingerprint:
@@ -65,6 +70,14 @@ def scored(run: Path, folder: Path | None = None, dataset: ReadableDataset | Non
             f"fingerprint {report.dataset['fingerprint'][:12]}; score the run with {score}."
         )
     return report, samples
+
+
+def _has_ended(run: Path) -> bool:
+    """Whether a run is trained to its end; also True of one that cannot be read, which is said elsewhere."""
+    try:
+        return Run.open(run).result is not None
+    except DmbenchError:
+        return True
 
 
 def scored_on(run: Path, dataset: ReadableDataset | None = None, split: SplitName = "test") -> _Scored:
@@ -131,14 +144,14 @@ def _left_out(models: Sequence[Sequence[_Scored]]) -> tuple[list[str], list[str]
     measured = [[set(pc.unique(samples["metric"]).to_pylist()) for _, samples in own] for own in models]
     for metric in PAIRED:
         has = [[metric in own for own in each] for each in measured]
-        if all(map(any, has)) and not all(map(all, has)):
+        if any(map(any, has)) and not all(map(all, has)):
             lacking = next(
                 report.run
                 for own, has_it in zip(models, has, strict=True)
                 for (report, _), there in zip(own, has_it, strict=True)
                 if not there
             )
-            told[f"{lacking!r} was not scored for {metric}, as other trainings were; score it for that, too."] = None
+            told[f"{lacking!r} has no figures of {metric}, as others have; score it for them, too."] = None
             metrics.append(metric)
     return list(told), metrics
 

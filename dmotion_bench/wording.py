@@ -31,6 +31,8 @@ def shown(value: object) -> str:
         return shortened(repr(value), VALUE_LIMIT)
     except (ValueError, RecursionError):  # a whole number of thousands of digits, something nested too deeply
         return f"a {type(value).__name__} too large to show"
+    except Exception:  # a stranger's object may raise anything
+        return f"a {type(value).__name__}"
 
 
 def sentence(text: str) -> str:

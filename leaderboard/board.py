@@ -21,6 +21,7 @@ from typing import Any, Final, TypeVar
 
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.registry import environment_title, environment_versions
+from dmotion_bench.scoring.report import CONTRACT
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
 from leaderboard.column_table import ColumnTable, column_table
@@ -215,6 +216,7 @@ def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapp
     first = entries[0]
     mine = planner if any(entry.planner == planner for entry in entries) else _planner_of(entries)
     arch, own, precision = first.content["arch"], first.trained_on, first.content["settings"]["precision"]
+    unsound = any(CONTRACT in entry.content["remarks"] for entry in entries)
     return Row(
         kind="measured",
         name=first.model,
@@ -224,6 +226,7 @@ def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapp
             + [first.label_use] * bool(first.label_use)
             + [f"trained on {own}"] * (own is not None)
             + [f"predicted in {precision}"] * (precision != "float32")
+            + ["breaks the contract"] * unsound
         ),
         elsewhere=own is not None,
         labels=first.labels,
@@ -235,6 +238,7 @@ def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapp
         ),
         planner=mine,
         planned_otherwise=mine not in (planner, None),
+        unsound=unsound,
     )
 
 
@@ -335,7 +339,7 @@ def _ranked(rows: list[Row]) -> list[Row]:
     controlled = sorted((int(found[1]), name) for name in names if (found := _CONTROL.fullmatch(name)))
     if controlled:
         rows = _leading(rows, controlled[-1][1])
-    ranked = [row for row in rows if RANKED_BY in row.figures]
+    ranked = [row for row in rows if RANKED_BY in row.figures and not row.unsound]
     if not ranked:
         return rows
     best = min(ranked, key=lambda row: row.figures[RANKED_BY].mean)
@@ -351,13 +355,13 @@ def _all_figures(rows: Iterable[Row]) -> set[str]:
 
 def _leading(rows: list[Row], figure: str) -> list[Row]:
     """The rows, with a mark on those that have the lowest value of a figure or are tied with it."""
-    able = [row for row in rows if figure in row.figures and not row.planned_otherwise]
+    able = [row for row in rows if figure in row.figures and not row.planned_otherwise and not row.unsound]
     best = min(able, key=lambda row: row.figures[figure].mean, default=None)
     if best is None:
         return rows
     marked = []
     for row in rows:
-        apart = None if row is best else _difference(row, best, figure)
+        apart = None if row is best or row.unsound else _difference(row, best, figure)
         leads = row is best or (apart is not None and apart.low is not None and apart.low <= 0 <= (apart.high or 0))
         marked.append(replace(row, leads=row.leads | {figure}) if leads else row)
     return marked

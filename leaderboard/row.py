@@ -47,6 +47,7 @@ class Row:
         leads: Other figures in which it is the best, or statistically tied with the best.
         planner: The planner behind its figures of control; None where it has none.
         planned_otherwise: Whether that is another one than the board's.
+        unsound: Whether its model breaks the contract: it is neither the best nor tied with the best.
     """
 
     kind: RowKind
@@ -63,6 +64,7 @@ class Row:
     leads: frozenset[str] = frozenset()
     planner: Planner | None = None
     planned_otherwise: bool = False
+    unsound: bool = False
 
     @property
     def title(self) -> str:
@@ -78,6 +80,6 @@ class Row:
     @property
     def ties(self) -> bool:
         """Whether the row is the best, or tied with the best."""
-        return self.is_best or (
-            self.behind is not None and self.behind.low is not None and self.behind.low <= 0 <= (self.behind.high or 0)
-        )
+        if self.is_best or self.unsound or self.behind is None or self.behind.low is None:
+            return self.is_best
+        return self.behind.low <= 0 <= (self.behind.high or 0)

@@ -15,7 +15,7 @@ from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.label_use import label_use
 from dmotion_bench.scoring.references import published_for
-from dmotion_bench.scoring.report import LATER_TRAINING, protocol_of, read_report, training_facts
+from dmotion_bench.scoring.report import CONTRACT, LATER_TRAINING, protocol_of, read_report, training_facts
 from dmotion_bench.scoring.transfer import training_is_here, training_of, transferable
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.check import cache_damages
@@ -157,6 +157,8 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     published = None if elsewhere else published_for(spec.model, environment, spec.labels, actions=actions)
     ours = {} if published is None else {name: one.to_json() for name, one in published.figures.items()}
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
+    if CONTRACT in content["remarks"]:
+        check.remarks.append(f"{CONTRACT}: {content['remarks'][CONTRACT]}")
     if content["settings"]["split"] != "test":
         check.remarks.append(f"scored on the {content['settings']['split']} episodes, not on the test's")
     if changed := run.changed_modules:

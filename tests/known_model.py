@@ -47,6 +47,13 @@ class Known(ForwardModel[NoConfig]):
         return current + self.offset
 
 
+class Raising(Known):
+    """Fails in its losses."""
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        raise KeyError("boom")
+
+
 def spec_with(**changes: Any) -> RunSpec:
     """What a run of DMotion with one label of each action asks for, but for the changes."""
     asked: dict[str, Any] = {

@@ -74,3 +74,11 @@ def test_what_would_move_a_terminal_is_written_out() -> None:
 def test_a_figure_has_three_digits_in_the_terminal_and_on_the_page(value: float | None, text: str) -> None:
     assert rounded(value) == text
     assert number(value) == text.replace("-", "\u2212")
+
+
+def test_an_object_that_cannot_be_shown_is_told_by_its_kind() -> None:
+    class Half:
+        def __repr__(self) -> str:
+            raise AttributeError("no attribute '_modules'")
+
+    assert shown(Half()) == "a Half"

@@ -15,6 +15,7 @@ from dmotion_bench.errors import DatasetMissing, RunMismatch, RunMissing, Unknow
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.runs import run as runs
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report
+from dmotion_bench.specs import Supervision
 from dmotion_bench.wording import command
 from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
@@ -140,10 +141,12 @@ class Run(runs.Run):
         """
         model: Any = self.model
         if not hasattr(model, "latent_action"):
-            raise UsageError(
-                f"{self.spec.model!r} has no latent actions: it is given the actions; "
-                "a model of video has them, such as dmotion."
+            given = (
+                "it is given the actions; a model of video has them, such as dmotion"
+                if model.supervision is Supervision.ACTIONS
+                else "it defines no method latent_action(previous, current, following)"
             )
+            raise UsageError(f"{self.spec.model!r} has no latent actions that can be read: {given}.")
         with torch.inference_mode():
             latent: Tensor = model.latent_action(_batch(previous), _batch(current), _batch(following))
         return latent.numpy() if _is_stored(current) else latent

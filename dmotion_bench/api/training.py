@@ -45,6 +45,7 @@ from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.loop import Report
 from dmotion_bench.learning.training.loop import train as train_steps
 from dmotion_bench.learning.training.tracking import require_trackers
+from dmotion_bench.planning.contract import using
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused
@@ -260,7 +261,7 @@ def complete(
     if mine.rank == 0 and told is not None:
         warn(told)
     fabric = fabric or launch(device)
-    with _explaining(breach):
+    with _explaining(run.spec.model, breach):
         if mine.rank > 0:
             return train_steps(run, training_data(run, dataset, loaders), fabric, lambda _: None)
         return _train(run, dataset, fabric, progress, trackers, loaders)
@@ -277,10 +278,20 @@ def _breach(spec: runs.RunSpec) -> ModelContractBroken | None:
 
 
 @contextlib.contextmanager
-def _explaining(breach: ModelContractBroken | None) -> Iterator[None]:
-    """Say of a training that fails that its model breaks the contract, if it does."""
+def _explaining(model: str, breach: ModelContractBroken | None) -> Iterator[None]:
+    """Say of a training that fails which line of somebody's own model raised, and whether it breaks the contract.
+
+    Raises:
+        ModelContractBroken: The model is to blame.
+    """
+    naming = contextlib.nullcontext() if is_built_in(MODELS, model) else using(model_class(model))
     try:
-        yield
+        with naming:
+            yield
+    except ModelContractBroken as error:
+        if breach is None:
+            raise
+        raise ModelContractBroken(f"the training failed: {error} Before it began: {breach}") from error
     except DmbenchError:
         raise
     except Exception as error:

@@ -50,7 +50,18 @@ def show_report(report: Report, run: Path) -> None:
     _show_probes(report)
     console = stdout_console()
     _say_why_no_interval(report.figures.values())
-    for name in (*beside, "labels", "trained_on", "actions", "positions", "gain", "control", "rollout", "split"):
+    for name in (
+        *beside,
+        "contract",
+        "labels",
+        "trained_on",
+        "actions",
+        "positions",
+        "gain",
+        "control",
+        "rollout",
+        "split",
+    ):
         if name in report.remarks:
             console.print(f"  {_plain(name)}: {report.remarks[name]}")
     if others := [f"{name} {version}" for name, version in report.versions.items() if name.endswith(")")]:
@@ -114,7 +125,7 @@ def show_overview(reports: Mapping[Path, Report]) -> None:
 
 
 def _show_board(reports: Mapping[Path, Report]) -> None:
-    paths = sorted(reports, key=lambda path: _mse(reports[path]))
+    paths = sorted(reports, key=lambda path: ("contract" in reports[path].remarks, _mse(reports[path])))
     here = [reports[path] for path in paths]
     furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
     columns = (*OVERVIEW, furthest, "planning_gain", "control_distance[100]", "control_picture_distance[100]")
@@ -128,7 +139,9 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
     for path, report in zip(paths, here, strict=True):
         use = f", {report.labels['use']}" if "use" in report.labels else ""
         labels = f"{report.labels['asked']} ({report.labels['total']}{use})"
-        run = report.run if report.trained_on is None else f"{report.run} (trained on {report.trained_on})"
+        notes = [f"trained on {report.trained_on}"] if report.trained_on is not None else []
+        notes += ["breaks the contract"] if "contract" in report.remarks else []
+        run = f"{report.run} ({', '.join(notes)})" if notes else report.run
         rows.append((run, labels, *_row(report.figures, shown, behind.get(path, "") if behind else None)))
         if "paper" in report.reference:
             paper = _row(report.reference["paper"], shown, "" if behind else None)

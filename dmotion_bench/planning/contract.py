@@ -37,6 +37,9 @@ def using(model: object) -> Iterator[None]:
 
     An error that does not pass through that file is left as it is: it is not the model's.
 
+    Args:
+        model: A model, or its class.
+
     Raises:
         ModelContractBroken: The model raised something else than a ``DmbenchError``.
     """
@@ -68,12 +71,17 @@ def _raised(part: object, error: Exception) -> str:
     own = _own_file(part)
     place = next((one for one in reversed(places) if one.filename == own), places[-1])
     told = f"raised {type(error).__name__} in line {place.lineno} of {Path(place.filename).name}"
-    return f"{told}: {str(error).rstrip('.')}"
+    said = str(error).rstrip(".")
+    return f"{told}: {said}" if said else told
 
 
 def _own_file(part: object) -> str | None:
     """Where a part's class is defined; None in a notebook."""
-    return getattr(sys.modules.get(type(part).__module__), "__file__", None)
+    return getattr(sys.modules.get(_class_of(part).__module__), "__file__", None)
+
+
+def _class_of(part: object) -> type:
+    return part if isinstance(part, type) else type(part)
 
 
 def require(part: object, method: str, holds: bool, sentence: str) -> None:
@@ -88,7 +96,7 @@ def require(part: object, method: str, holds: bool, sentence: str) -> None:
 
 def _broken_model(model: object, method: str, sentence: str) -> ModelContractBroken:
     return ModelContractBroken(
-        f"{type(model).__qualname__}.{method} {sentence}. The contract is in docs/your_model.md; "
+        f"{_class_of(model).__qualname__}.{method} {sentence}. The contract is in docs/your_model.md; "
         "dmotion_bench.testing.check_model checks it."
     )
 

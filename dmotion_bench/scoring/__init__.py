@@ -13,6 +13,7 @@
     references.py        the references: predictors without learning, and published results
     shared_samples.py    what several runs have in common: the references', and those of latent actions
     frame_measures.py    everything that is measured on a predicted frame
+    soundness.py         whether a model predicts each triplet by itself, and the same each time
     pixels.py            MSE, PSNR and SSIM of two pictures
     position_errors.py   distances between predicted and true objects
     latent_models.py     what a model may tell of the agent and of what it does

@@ -55,6 +55,9 @@ PROTOCOL = "dmbench-1"
 """Of all reports but those whose control was planned by a column, which have the column's."""
 
 PROTOCOLS: Final = (PROTOCOL, *sorted({one.protocol for one in COLUMNS.values()}))
+CONTRACT: Final = "contract"
+"""The remark of a model that breaks its contract; its row is neither the best of a board nor tied with the best."""
+
 SCORING_VERSION: Final = 1
 """The version of scoring: of the samples of predictions, of their figures and intervals.
 

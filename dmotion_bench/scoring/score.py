@@ -41,6 +41,7 @@ from dmotion_bench.scoring.prediction import (
 )
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
+    CONTRACT,
     Report,
     read_report,
     settle_samples,
@@ -50,6 +51,7 @@ from dmotion_bench.scoring.run_report import compose_report
 from dmotion_bench.scoring.samples import SCHEMA, require_readable
 from dmotion_bench.scoring.settings import DEFAULT_METRICS, OWN_SETTINGS, Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
+from dmotion_bench.scoring.soundness import unsound_prediction
 from dmotion_bench.scoring.standing import (
     planning_of,
     samples_of,
@@ -109,6 +111,9 @@ def score_model(
         shared: Keeps what other runs have in common with this one, for the next model of this process.
         earlier: Samples of groups that are not asked for now; kept.
         journal: A file in which control keeps how far it is, to go on from there after an interruption.
+
+    Raises:
+        InvalidSetting: No episode is long enough for rollouts of another length than the usual one.
     """
     settings, how = settings or ScoreSettings(), how or Execution()
     shared = shared or SharedSamples()
@@ -122,6 +127,11 @@ def score_model(
         metrics = tuple(metric for metric in metrics if metric in OWN_SETTINGS)
     triplets = len(held_out) if "prediction" in metrics else 0
     rollouts = held_out.count_rollouts(settings.horizon) if "rollout" in metrics else 0
+    if "rollout" in metrics and not rollouts and settings.horizon != ScoreSettings.horizon:
+        raise InvalidSetting(
+            f"no {settings.split} episode of {dataset.name!r} has the frames for a rollout of {settings.horizon} "
+            f"steps; ask for at most {max(1, held_out.longest_rollout)}."
+        )
     require_readable((1 + len(REFERENCES)) * triplets + 2 * settings.horizon * rollouts)
     identity = {
         "dataset": dataset.fingerprint,
@@ -243,11 +253,14 @@ def score_run(
                 earlier=samples_of(samples, set(true) - set(metrics)),
                 journal=(journal := folder / CONTROL_JOURNAL),
             )
+            unsound = None if isinstance(own, contextlib.nullcontext) else unsound_prediction(run.model, dataset)
         groups = tuple(dict.fromkeys((*true, *metrics)))
         scored = compose_report(run, dataset, scores.figures, scores.reference, settings.to_json(groups))
         if report is not None:
             kept = [name for name in true if name not in metrics]
             scored = replace(scored, versions=versions_with(report, kept, scored.versions))
+        if unsound is not None:
+            scored = replace(scored, remarks={**scored.remarks, CONTRACT: f"the model breaks it: {unsound}"})
         if lacking is not None:
             scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:

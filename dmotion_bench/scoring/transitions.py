@@ -143,6 +143,12 @@ class HeldOut:
         """How many rollouts of ``horizon`` steps there are."""
         return len(self._starts(horizon))
 
+    @property
+    def longest_rollout(self) -> int:
+        """Steps of the longest rollout that an episode has the frames for; below 1 if there is none."""
+        lengths = np.diff(np.asarray(self.dataset.cache().offsets))
+        return int(lengths[self.dataset.split(self.split)].max(initial=0)) - 2
+
     def _starts(self, horizon: int) -> list[tuple[int, int]]:
         offsets = np.asarray(self.dataset.cache().offsets)
         lengths = np.diff(offsets)

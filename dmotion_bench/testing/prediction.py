@@ -10,6 +10,8 @@ from torch import Tensor
 from dmotion_bench.testing.trial import BATCH, ModelTrial, described, same
 
 STEPS = 3
+FARTHEST = 10.0
+"""From zero, where most values of a frame may lie before a training."""
 PREDICT = "predict(previous, current, action)"
 
 
@@ -105,3 +107,7 @@ def check_frames(subject: ModelTrial, method: str, frames: Any, shape: tuple[int
     )
     subject.require(frames.dtype == torch.float32, f"{method} gave {frames.dtype}, not torch.float32")
     subject.require(bool(frames.isfinite().all()), f"{method} gave frames that are not finite")
+    subject.require(
+        float(frames.abs().median()) <= FARTHEST,
+        f"{method} gave frames whose values reach {float(frames.abs().max()):.4g}; those of frames lie in [-1, 1]",
+    )

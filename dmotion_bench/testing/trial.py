@@ -124,7 +124,8 @@ class ModelTrial:
 
     def broken(self, sentence: str) -> ModelContractBroken:
         """The error for a breach."""
-        return ModelContractBroken(f"{self.name}: {sentence}. The contract is in dmotion_bench/learning/model.py.")
+        said = sentence.rstrip(".")
+        return ModelContractBroken(f"{self.name}: {said}. The contract is in dmotion_bench/learning/model.py.")
 
 
 def specified(actions: int | ActionSpec) -> ActionSpec:

@@ -146,7 +146,7 @@ def test_latent_actions_are_the_model_s_and_not_every_model_has_them(workspace: 
         expected = model.latent_action(*images)
     assert np.array_equal(run.latent_action(*frames[:3]), expected.numpy())
     other = dm.train("ed-cnn", labels="all", settings={"epochs": 0.1})
-    with pytest.raises(UsageError, match="'ed-cnn' has no latent actions"):
+    with pytest.raises(UsageError, match="'ed-cnn' has no latent actions that can be read: it is given the actions"):
         other.latent_action(*frames[:3])
 
 

@@ -81,6 +81,17 @@ def test_a_row_is_bold_only_where_it_cannot_be_told_from_the_best(result: Callab
     assert not worse.ties
 
 
+def test_a_model_that_breaks_the_contract_is_neither_the_best_nor_tied(result: Callable[..., Entry]) -> None:
+    hard = np.random.default_rng(0).gamma(2, 10, 40)
+    remarks = {"contract": "the model breaks it: predict differs from one call to the next"}
+    (board,) = make_boards([result("sound", hard), result("broken", hard - 1e-6, remarks=remarks)])
+
+    assert row_named(board, "sound").is_best
+    broken = row_named(board, "broken")
+    assert (broken.unsound, broken.ties, broken.is_best) == (True, False, False)
+    assert "breaks the contract" in broken.variant
+
+
 def test_entries_that_cannot_be_paired_are_not_compared(result: Callable[..., Entry]) -> None:
     one = result("one", np.ones(40))
     other = result("other", np.full(40, 2.0), by_episode={})

@@ -301,10 +301,10 @@ def _scored(run: Path) -> Path:
 
 
 def test_episodes_that_are_too_short_have_no_rollouts(make_run: MakeRun, tmp_path: Path) -> None:
-    report = score_run(make_run(tmp_path / "run").path, metrics=("rollout",), settings=ScoreSettings(horizon=13))
+    report = score_run(make_run(tmp_path / "run").path, metrics=("rollout",), settings=ScoreSettings())
 
     assert report.figures == {}
-    assert "15 frames" in report.remarks["rollout"]
+    assert "17 frames" in report.remarks["rollout"]
 
 
 def test_a_published_row_stands_beside_the_run_it_belongs_to() -> None:

@@ -280,6 +280,10 @@ BREACHES: dict[str, tuple[Any, str]] = {
         breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c, a) / 0),
         r"gave frames that are not finite",
     ),
+    "of 0 to 255": (
+        breaks(Sound, predict=lambda self, p, c, a: 127.5 * (Sound.predict(self, p, c, a).clamp(-0.5, 1) + 1)),
+        r"gave frames whose values reach \d+(\.\d+)?; those of frames lie in \[-1, 1\]",
+    ),
     "in place": (
         breaks(Sound, predict=lambda self, p, c, a: Sound.predict(self, p, c.mul_(0.5), a)),
         r"predict changes its arguments in place",

@@ -41,7 +41,7 @@ from dmotion_bench.learning.training.samples import write_sample
 from dmotion_bench.learning.training.state import TrainingState
 from dmotion_bench.learning.training.step import Stepper
 from dmotion_bench.learning.training.tracking import tracked
-from dmotion_bench.learning.training.validation import validation_losses, validation_picture
+from dmotion_bench.learning.training.validation import validation_losses, validation_picture, why_not_finite
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.lock import held
@@ -278,10 +278,7 @@ class _Trainer:
             self.model.eval()
             means = validation_losses(self.model, part, self.companions, self.conditions.precision, self.fabric.device)
             if not math.isfinite(means["loss"]):
-                raise RunError(
-                    f"training diverged before step {self.state.step}: the loss is {means['loss']}. "
-                    "Try a lower rate, such as --set learning_rate=0.0005, in a new run (--out DIR)."
-                )
+                raise RunError(why_not_finite(self.model, means["loss"], self.state.step))
             if self.state.is_lower(means["loss"]):
                 self._save_best()
             self._sample()

@@ -48,6 +48,25 @@ def validation_losses(
     return {name: total / len(part.validation) for name, total in companions.summed(sums).items()}
 
 
+def why_not_finite(model: ForwardModel[Any], loss: float, step: int) -> str:
+    """Why a validation loss is no finite number: the weights are none any more, or the model fails here alone.
+
+    Args:
+        model: As it was validated.
+        loss: What came out.
+        step: After which.
+    """
+    if all(bool(weight.isfinite().all()) for weight in model.parameters()):
+        return (
+            f"the validation loss is {loss} after step {step}, although all weights are finite: "
+            f"{type(model).__qualname__}.losses gives no finite number in evaluation mode, or for some frames."
+        )
+    return (
+        f"training diverged before step {step}: the loss is {loss}. "
+        "Try a lower rate, such as --set learning_rate=0.0005, in a new run (--out DIR)."
+    )
+
+
 def validation_picture(
     model: ForwardModel[Any],
     demonstrations: Demonstrations | None,

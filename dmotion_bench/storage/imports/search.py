@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import RecordingImportError, UsageError
+from dmotion_bench.storage.imports.bags import bags_of, told_of_bags
 from dmotion_bench.storage.imports.lerobot_layout import INFO
 from dmotion_bench.storage.imports.natural_order import in_natural_order
 from dmotion_bench.storage.imports.passed_over import (
@@ -42,12 +43,14 @@ class Found:
         faults: Why a path, or a folder in one, gives no recording.
         told: Sentences about what lies in the folders and is not imported.
         doubts: Of a folder whose pictures may not be those that are meant: why, for the case that they are too few.
+        bags: The folders of the bags that several of the recordings are parts of, by these recordings' paths.
     """
 
     sources: Sequence[Source]
     faults: Mapping[Path, RecordingImportError]
     told: Sequence[str]
     doubts: Mapping[Path, str]
+    bags: Mapping[Path, Path]
 
     def require_sound(self) -> None:
         """Check that everything can be imported.
@@ -82,14 +85,17 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
     require_once(sources, folders)
     taken = _taken(sources, folders, camera, faults)
     over = [_passed_over(path, taken) for path in paths if _is_told_of(path, faults)]
+    bags = bags_of(source.path for source in sources if source.kind is Kind.MCAP)
     return Found(
         sources=sources,
         faults=faults,
         told=[
             *(sentence for one in over for sentence in one.sentences(camera)),
             *(sentence for path in paths if (sentence := _likely_cameras(path, sources)) is not None),
+            *told_of_bags(bags),
         ],
         doubts={one.folder: _doubt(one) for one in over if one.readable and one.folder in folders},
+        bags=bags,
     )
 
 

@@ -19,9 +19,9 @@ from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMessage, TopicInfo
 from dmotion_bench.storage.imports.mcap_topics import camera_topic, is_stream, named_topic
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
-from dmotion_bench.storage.imports.recording import Clock, Segment, Survey
+from dmotion_bench.storage.imports.recording import Clock, Segment, Survey, told_of_harm
 from dmotion_bench.storage.imports.timeline import irregularity
-from dmotion_bench.wording import shown
+from dmotion_bench.wording import duration, shown
 
 UNEVEN = 0.5  # of intervals: jitter is less, pauses and bursts are more
 MOST_SENDERS = 4  # that are told of
@@ -132,13 +132,14 @@ class McapRecording:
         given = None if commands is None else self._collected(commands)
         if given is not None:
             self._check_clocks(taken, logged)
+        harm = [told_of_harm(self.path, taken)] if self._file.is_harmed else []
         return Survey(
             camera=self._camera,
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given)],
             hints=self._clock_hints(taken, logged),
-            told=[*self._several(senders), *self._told_of_order, *self._other_messages(commands)],
+            told=[*harm, *self._several(senders), *self._told_of_order, *self._other_messages(commands)],
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
@@ -254,8 +255,8 @@ class McapRecording:
         self._places = np.argsort(order)
         self._told_of_order = [
             f"{np.count_nonzero(intervals < 0):,} of {len(order):,} messages on {self._camera!r} were written after a "
-            f"later one, by up to {-intervals[furthest] / 1e9:.3g} s, and are sorted by the times of recording. If the "
-            "clock was set back while they were recorded, pictures of two moments alternate there: cut the file."
+            f"later one, by up to {duration(-intervals[furthest] / 1e9)}, and are sorted by the times of recording. If "
+            "the clock was set back while they were recorded, pictures of two moments alternate there: cut the file."
         ]
         return times_ns[order], others_ns[order]
 
@@ -307,7 +308,8 @@ class McapRecording:
             raise self._bad(
                 count,
                 self._camera,
-                f"has a time stamp {picture.stamp_ns / 1e9:.3g} s after 1970, which no clock shows; use '--clock log'",
+                f"has a time stamp {duration(picture.stamp_ns / 1e9)} after 1970, which no clock shows; use "
+                "'--clock log'",
             )
         return picture.stamp_ns
 

@@ -124,8 +124,8 @@ def _gaps(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
     """That recordings are divided where no picture came for long."""
     if options.max_gap_s is not None:
         return []
-    segments = [segment.times_ns for survey in surveys for segment in survey.segments]
-    gaps = np.concatenate([gaps_ns(times_ns, hz=options.hz) for times_ns in segments]) / 1e9
+    segments = [segment for survey in surveys for segment in survey.segments]
+    gaps = np.concatenate([gaps_ns(one.times_ns, hz=options.hz, jumps=one.jumps) for one in segments]) / 1e9
     if not len(gaps):
         return []
     return [

@@ -32,12 +32,14 @@ class Segment:
         commands: The actions over the same time; None where none were asked for.
         name: What a recording with several segments calls this one, for sentences; empty where it is the only one.
         number: By which ``Recording.pictures`` knows it; None: its place in the survey.
+        jumps: Numbers of frames before which the clock jumped: no frames are missing there.
     """
 
     times_ns: Int64[np.ndarray, " n"]
     commands: Commands | None = None
     name: str = ""
     number: int | None = None
+    jumps: Sequence[int] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

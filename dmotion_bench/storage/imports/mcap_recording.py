@@ -137,10 +137,10 @@ class McapRecording:
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given, jumps=[jump.picture for jump in jumped])],
-            hints=[] if jumped else self._clock_hints(taken, logged),
+            hints=self._clock_hints(taken, logged, jumped),
             told=[
                 *harm,
-                *self._told_of_jumps(jumped),
+                *([f"{told_of_jumps(self.path, jumped)}."] if jumped else []),
                 *self._several(senders),
                 *self._told_of_order,
                 *self._other_messages(commands),
@@ -336,8 +336,7 @@ class McapRecording:
             return
         if found := jumps(others_ns, times_ns):
             raise RecordingImportError(
-                f"{told_of_jumps(repr(str(self.path)), found)}, so these are of another clock than the actions; use "
-                "'--clock log'."
+                f"{told_of_jumps(self.path, found)}, so these are of another clock than the actions; use '--clock log'."
             )
         raise RecordingImportError(
             f"{str(self.path)!r}: the time stamps of {self._camera!r} are {duration(abs(apart))} "
@@ -345,8 +344,15 @@ class McapRecording:
             "actions; use '--clock log'."
         )
 
-    def _clock_hints(self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"]) -> list[str]:
+    def _clock_hints(
+        self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"], jumped: Sequence[Jump]
+    ) -> list[str]:
         """Whether the clock that was not asked for is the steadier one."""
+        if jumped:
+            hint = "an episode ends where the recorder's clock jumped; '--clock header' does not cut there"
+            if self._actions is not None:
+                hint += ", but cannot be used with '--actions': the actions have the recorder's times"
+            return [f"{hint}."]
         if not is_ascending(others_ns) or not is_steadier(times_ns, others_ns):
             return []
         if self._clock is Clock.HEADER:
@@ -358,18 +364,6 @@ class McapRecording:
             return [f"{hint}: use '--clock header'."]
         return [
             f"{hint}, but of another clock than the actions: '--clock header' can be used without '--actions' alone."
-        ]
-
-    def _told_of_jumps(self, found: Sequence[Jump]) -> list[str]:
-        """What is told of a recorder's clock that jumped forward, where it counts."""
-        if not found:
-            return []
-        way_out = "'--clock header' does not cut them apart"
-        if self._actions is not None:
-            way_out += ", but cannot be used with '--actions': the actions have the recorder's times"
-        return [
-            f"{told_of_jumps(repr(str(self.path)), found)}. What comes before and after are episodes of their own; "
-            f"{way_out}."
         ]
 
     def _bad(self, count: int, topic: str, error: object) -> RecordingImportError:

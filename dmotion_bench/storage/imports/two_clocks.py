@@ -9,6 +9,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -68,17 +69,17 @@ def apart_s(recorded_ns: Times, stamps_ns: Times) -> float | None:
     return next((apart / 1e9 for apart in usual if abs(apart) > MOST_APART * 1e9), None)
 
 
-def told_of_jumps(file: str, found: Sequence[Jump]) -> str:
-    """What is told of jumps, to be followed by what happens.
+def told_of_jumps(file: Path, found: Sequence[Jump]) -> str:
+    """What is told of jumps, without its full stop.
 
     Args:
-        file: As sentences call it.
+        file: In which they are.
         found: At least one.
     """
     places = [f"by {duration(jump.by_ns / 1e9)} after picture {jump.picture:,}" for jump in found[:_SHOWN]]
     more = f" and at {len(found) - _SHOWN:,} more places" if len(found) > _SHOWN else ""
     jumped = f"the recorder's clock jumped forward {', '.join(places)}{more}"
-    return f"{file}: {jumped}, while the camera's own time stamps go on"
+    return f"{str(file)!r}: {jumped}, while the camera's own time stamps go on"
 
 
 def is_steadier(one_ns: Times, other_ns: Times) -> bool:

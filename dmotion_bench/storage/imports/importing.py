@@ -58,7 +58,7 @@ def import_recordings(
     sweep(out, UNFINISHED)
     standing = standing_in(out)
     with Confinement(options) as confinement:
-        found = find(paths, options.camera)
+        found = find(paths, options.camera, salvage=options.salvage)
         found.require_sound()
         require_effect(found.sources, options)
         recordings = [open_recording(source, options, confinement) for source in found.sources]

@@ -56,6 +56,22 @@ def rounded(value: float | None) -> str:
     return f"{value:,.{max(0, 2 - exponent)}f}"
 
 
+def duration(seconds: float) -> str:
+    """A time with three significant digits, or whole seconds, as people read it: ``0.533 s``, ``2 s``, ``3,600 s``."""
+    is_short = 0 < abs(seconds) < 1e-3
+    figure = rounded(seconds * 1e6 if is_short else seconds)
+    return f"{figure.rstrip('0').rstrip('.') if '.' in figure else figure} {'µs' if is_short else 's'}"
+
+
+def durations(least: float, most: float) -> str:
+    """Times from the least to the most: ``0.5 to 2 s``, or one of them if both are written the same."""
+    first, last = duration(least), duration(most)
+    if first == last:
+        return first
+    unit = last[last.index(" ") :]
+    return f"{first.removesuffix(unit)} to {last}"
+
+
 def counted(count: int, what: str) -> str:
     """A number of things, such as ``1 step`` and ``2 steps``."""
     return f"{count:,} {what}" + ("" if count == 1 else "s")

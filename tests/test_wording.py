@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from dmotion_bench.errors import DatasetCorrupt, DmbenchError, UnknownName
-from dmotion_bench.wording import SENTENCE_LIMIT, command, rounded, shown
+from dmotion_bench.wording import SENTENCE_LIMIT, command, duration, durations, rounded, shown
 from leaderboard.columns import number
 
 
@@ -82,3 +82,28 @@ def test_an_object_that_cannot_be_shown_is_told_by_its_kind() -> None:
             raise AttributeError("no attribute '_modules'")
 
     assert shown(Half()) == "a Half"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"),
+    [
+        (0, "0 s"),
+        (1e-9, "0.001 µs"),
+        (0.00025, "250 µs"),
+        (0.5, "0.5 s"),
+        (8 / 15, "0.533 s"),
+        (59.2, "59.2 s"),
+        (100, "100 s"),
+        (-2, "-2 s"),
+        (3600.0333, "3,600 s"),
+        (18_446_744_073.7, "18,446,744,074 s"),
+    ],
+)
+def test_times_are_written_as_people_read_them(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_a_range_of_times_is_one_where_both_ends_read_the_same() -> None:
+    assert durations(0.6, 1.1) == "0.6 to 1.1 s"
+    assert durations(0.0005, 1.1) == "500 µs to 1.1 s"
+    assert durations(3599.9, 3600.1) == "3,600 s"

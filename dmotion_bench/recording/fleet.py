@@ -226,7 +226,7 @@ def import_fleet(
     options = replace(options, skip_damaged=skip_damaged)
     unreadable: dict[int, int] = {}
     skipped: dict[Path, RecordingImportError] = {}
-    named = find([path.absolute() for path in paths], options.camera)
+    named = find([path.absolute() for path in paths], options.camera, salvage=options.salvage)
     if not skip_damaged:
         named.require_sound()
     require_effect(named.sources, options)

@@ -236,6 +236,9 @@ def test_a_damaged_picture_at_the_start_of_a_shard_is_the_one_before_it(tmp_path
 
 
 def test_without_the_option_the_first_damaged_one_is_said(spoilt: Path, tmp_path: Path) -> None:
+    with pytest.raises(RecordingImportError, match=r"07\.mcap' is empty"):  # which shows before any is read
+        import_fleet([spoilt], tmp_path / "d", OPTIONS)
+    (spoilt / "07.mcap").unlink()
     with pytest.raises(RecordingImportError, match=r"03\.mcap"):
         import_fleet([spoilt], tmp_path / "d", OPTIONS)
     with pytest.raises(RecordingImportError, match="none of the 1 recordings can be imported; the first one"):

@@ -49,12 +49,24 @@ def test_a_cut_file_can_be_salvaged(good: Path, tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(whole[: len(whole) * 2 // 3])
     with pytest.raises(RecordingTruncated, match=r"ends in the middle of a record.*'--salvage'"):
         import_recordings([tmp_path / "a.mcap"], tmp_path / "out", SMALL)
-    import_recordings([tmp_path / "a.mcap"], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    report = import_recordings([tmp_path / "a.mcap"], tmp_path / "out", ImportOptions(size=32, salvage=True))
 
     dataset = Dataset.open(tmp_path / "out")
     frames = dataset.video(0)
     assert 5 <= len(frames) < 12
+    assert report.advice[0] == (
+        f"{str(tmp_path / 'a.mcap')!r} is cut off or damaged after {len(frames)} pictures "
+        f"({(len(frames) - 1) / 10:.1g} s); what follows is left out."
+    )
     np.testing.assert_array_equal(frames, video(12)[: len(frames)])
+
+
+def test_a_file_that_is_cut_behind_its_last_message_lacks_nothing(good: Path, tmp_path: Path) -> None:
+    whole = good.read_bytes()
+    (tmp_path / "a.mcap").write_bytes(whole[:-30])
+    report = import_recordings([tmp_path / "a.mcap"], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    assert report.frames == 12
+    assert not any("is cut off" in sentence for sentence in report.advice)
 
 
 @pytest.mark.slow
@@ -91,9 +103,10 @@ def test_nothing_of_a_chunk_with_a_wrong_checksum_is_salvaged(tmp_path: Path) ->
     file.write_bytes(content)
     refused(file, tmp_path, "is damaged near byte .*checksum does not match")
 
-    import_recordings([file], tmp_path / "out", ImportOptions(size=32, salvage=True))
+    report = import_recordings([file], tmp_path / "out", ImportOptions(size=32, salvage=True))
     found = Dataset.open(tmp_path / "out").video(0)
     assert 3 <= len(found) <= 6
+    assert any(f"damaged after {len(found)} pictures (" in sentence for sentence in report.advice)
     np.testing.assert_array_equal(found, frames[: len(found)])
 
 
@@ -117,6 +130,7 @@ def test_a_compressed_file_that_is_cut_off_or_damaged(tmp_path: Path) -> None:
     refused(tmp_path / "a.mcap.zst", tmp_path, "is cut off|holds less than it declares; .*'--salvage'")
     salvaged = import_recordings([tmp_path / "a.mcap.zst"], tmp_path / "out", ImportOptions(size=32, salvage=True))
     assert 4 <= salvaged.frames < 12
+    assert any(f"a.mcap.zst' is cut off or damaged after {salvaged.frames} p" in told for told in salvaged.advice)
     damaged = bytearray(packed)
     damaged[len(packed) // 2 :] = bytes(len(packed) - len(packed) // 2)
     (tmp_path / "b.mcap.zst").write_bytes(damaged)

@@ -11,6 +11,7 @@ import foxglove
 import numpy as np
 import pytest
 from foxglove.channels import CompressedVideoChannel, RawImageChannel
+from foxglove.mcap import MCAPWriteOptions
 from foxglove.messages import CompressedVideo, Timestamp
 from rosbags.typesys import get_types_from_msg
 from storage.foreign import ROS, START, raw_image, ros_file, ros_header, ros_image, steady, video
@@ -52,10 +53,17 @@ def square(count: int) -> Frames:
     return moving(count, 48, 48)
 
 
-def foxglove_stream(path: Path, sent: Sequence[bytes], times: Sequence[int], form: str = "h264", late: int = 0) -> Path:
+def foxglove_stream(
+    path: Path,
+    sent: Sequence[bytes],
+    times: Sequence[int],
+    form: str = "h264",
+    late: int = 0,
+    options: MCAPWriteOptions | None = None,
+) -> Path:
     """foxglove.CompressedVideo in protobuf, logged some time after the picture was taken."""
     context = foxglove.Context()
-    with foxglove.open_mcap(path, context=context):
+    with foxglove.open_mcap(path, context=context, writer_options=options):
         camera = CompressedVideoChannel("/video", context=context)
         for data, t_ns in zip(sent, times, strict=True):
             stamp = Timestamp(sec=t_ns // 10**9, nsec=t_ns % 10**9)
@@ -183,6 +191,20 @@ def test_a_damaged_packet(tmp_path: Path) -> None:
     assert report.unreadable == 6  # up to the next key frame
     kept = np.concatenate([dataset.video(episode) for episode in range(len(dataset))])
     np.testing.assert_array_equal(kept, frames[[*range(14), *range(20, 40)]])
+
+
+@pytest.mark.slow
+def test_a_cut_file_is_told_of(tmp_path: Path) -> None:
+    frames = square(40)
+    small = MCAPWriteOptions(chunk_size=1000)
+    file = foxglove_stream(tmp_path / "a.mcap", packets(frames, *H264), steady(40), options=small)
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    refused(file, "is cut off: .*'--salvage'")
+    report, dataset = imported(file, ImportOptions(size=48, salvage=True))
+    kept = np.concatenate([dataset.video(episode) for episode in range(len(dataset))])
+    assert 10 <= len(kept) < 40
+    np.testing.assert_array_equal(kept, frames[: len(kept)])
+    assert any(f"a.mcap' is cut off or damaged after {len(kept)} pictures (" in told for told in report.advice)
 
 
 @pytest.mark.slow

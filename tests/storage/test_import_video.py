@@ -242,6 +242,8 @@ def test_a_file_that_was_cut_off(tmp_path: Path, name: str, kind: str) -> None:
     found = decoded(file, salvage=True)[1]
     assert 20 <= len(found) < 60
     np.testing.assert_array_equal(found, frames[: len(found)])
+    report = import_recordings([file], tmp_path / "out", ImportOptions(size=48, salvage=True))
+    assert any(f"is cut off or damaged after {len(found)} pictures (" in told for told in report.advice)
 
 
 @pytest.mark.slow

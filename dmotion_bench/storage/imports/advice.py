@@ -14,6 +14,7 @@ from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Survey
 from dmotion_bench.storage.imports.timeline import MOST_TICKS, Piece, gaps_ns, interval_ns, length_for, steady_hz
 from dmotion_bench.storage.split import FEWEST_EPISODES
+from dmotion_bench.wording import duration, durations
 
 SLOWEST_HZ = 0.01  # that '--hz' takes
 UNEVEN_STEPS: Final = 4 / 3  # a step of so many times the source frames of another is told of
@@ -123,14 +124,14 @@ def _gaps(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
     """That recordings are divided where no picture came for long."""
     if options.max_gap_s is not None:
         return []
-    segments = [segment.times_ns for survey in surveys for segment in survey.segments]
-    gaps = np.concatenate([gaps_ns(times_ns, hz=options.hz) for times_ns in segments]) / 1e9
+    segments = [segment for survey in surveys for segment in survey.segments]
+    gaps = np.concatenate([gaps_ns(one.times_ns, hz=options.hz, jumps=one.jumps) for one in segments]) / 1e9
     if not len(gaps):
         return []
-    lasting = f"{gaps.max():.3g} s" if len(gaps) == 1 else f"{gaps.min():.3g} to {gaps.max():.3g} s"
     return [
-        f"pictures are missing in {len(gaps):,} {'place' if len(gaps) == 1 else 'places'}, for {lasting}, and an "
-        "episode ends at each; '--max-gap SECONDS' bridges those up to so long by repeating the picture before."
+        f"pictures are missing in {len(gaps):,} {'place' if len(gaps) == 1 else 'places'}, for "
+        f"{durations(gaps.min(), gaps.max())}, and an episode ends at each; '--max-gap SECONDS' bridges those up to so "
+        "long by repeating the picture before."
     ]
 
 
@@ -151,9 +152,8 @@ def _reason(surveys: Sequence[Survey], options: ImportOptions) -> str:
     given = [one for survey in surveys for one in survey.segments if one.commands is not None and len(one.times_ns)]
     late = [float(one.commands.times_ns[0] - one.times_ns[-1]) / 1e9 for one in given if one.commands is not None]
     if late and min(late) >= 0:
-        return f"no action comes before the last picture, the first one {min(late):.3g} s after it."
+        return f"no action comes before the last picture, the first one {duration(min(late))} after it."
     seconds = max(float(np.ptp(times)) for times in segments) / 1e9
     shorter = ", or allow shorter episodes with '--min-frames 3'" if options.min_frames > 3 else ""
-    return (
-        f"the longest recording takes {seconds:.3g} s. Raise '--hz', or bridge longer gaps with '--max-gap'{shorter}."
-    )
+    longest_one = f"the longest recording takes {duration(seconds)}."
+    return f"{longest_one} Raise '--hz', or bridge longer gaps with '--max-gap'{shorter}."

@@ -228,7 +228,8 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         arrays.append(segment.times_ns)
         commands, more = (None, []) if segment.commands is None else _packed_commands(segment.commands)
         arrays += more
-        segments.append({"count": len(segment.times_ns), "commands": commands, "name": segment.name})
+        jumps = list(segment.jumps)
+        segments.append({"count": len(segment.times_ns), "commands": commands, "name": segment.name, "jumps": jumps})
     head = {
         "camera": survey.camera,
         "height": survey.height,
@@ -286,7 +287,8 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
             given_at, which = array(given["count"]), array(given["count"])
             names = [given["names"][number] for number in which.tolist()]
             commands = DiscreteCommands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
-        segments.append(Segment(times_ns=times, commands=commands, name=segment["name"]))
+        jumps = [number for number in segment["jumps"] if 0 < number < len(times)]
+        segments.append(Segment(times_ns=times, commands=commands, name=segment["name"], jumps=jumps))
     return Survey(
         camera=head["camera"],
         height=head["height"],

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -39,6 +40,8 @@ from dmotion_bench.storage.split import FEWEST_EPISODES
 FILE: Final = "file_"
 HASH: Final = "sha256_"
 """What the recipe calls the name and the hash of a recording, each with the recording's number."""
+BAGS: Final = "bags"
+"""What the recipe of a split by source calls the number of bags that are one source with several files."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +51,8 @@ class PlannedEpisode:
     Attributes:
         recording: The number of the recording that it is of.
         segment: The number of the segment in it.
-        source: The number of the segment among all that episodes come of, which decides its side of the split.
+        source: The number of the segment among all that episodes come of, which decides its side of the split; the
+            files of one bag have one.
         piece: What it shows.
         actions: Of its steps; None for video alone.
     """
@@ -124,7 +128,7 @@ def plan_import(
     _check_depth(recordings, surveys)
     names = discrete_names(surveys, options)
     pieces = _pieces(surveys, options)
-    planned, left_out = _plan(recordings, surveys, pieces, names, options)
+    planned, left_out = _plan(recordings, surveys, pieces, names, options, found.bags)
     hints = list(found.told)
     if options.salvage and any(source.kind in UNSALVAGED for source in found.sources):
         hints.append(
@@ -137,7 +141,7 @@ def plan_import(
             raise RecordingImportError(found.doubts[recording.path])
     if not planned:
         raise no_episode(surveys, options, hints)
-    recipe = _recipe(recordings, surveys, planned, options)
+    recipe = _recipe(recordings, surveys, planned, options, found.bags)
     _require_different(recordings, recipe)
     spec = EnvSpec(
         id=IMPORTED,
@@ -212,10 +216,11 @@ def _plan(
     found: Sequence[list[Piece]],
     names: tuple[str, ...],
     options: ImportOptions,
+    bags: Mapping[Path, Path],
 ) -> tuple[list[PlannedEpisode], int]:
     """The episodes, and how many frames are left out of all."""
     planned: list[PlannedEpisode] = []
-    waiting, sources = iter(found), itertools.count()
+    waiting, sources = iter(found), dict[Hashable, int]()
     for number, survey in enumerate(surveys):
         for index, segment in survey.numbered:
             pieces = next(waiting)
@@ -223,7 +228,8 @@ def _plan(
                 pieces = [commanded(piece, segment.commands) for piece in pieces]
                 check_pace(recordings[number], segment.commands, pieces, options)
             parts = cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames)
-            source = next(sources) if parts else 0
+            whole = bags.get(recordings[number].path, (number, index))  # what the parts are of
+            source = sources.setdefault(whole, len(sources)) if parts else 0
             for piece in parts:
                 actions = None if segment.commands is None else step_actions(piece, segment.commands, names, options)
                 one = PlannedEpisode(recording=number, segment=index, source=source, piece=piece, actions=actions)
@@ -232,7 +238,7 @@ def _plan(
 
 
 def source_count(planned: Sequence[PlannedEpisode]) -> int:
-    """From how many segments the episodes come."""
+    """From how many segments the episodes come; the files of one bag are one."""
     return len({one.source for one in planned})
 
 
@@ -242,7 +248,11 @@ def _as_text(name: str) -> str:
 
 
 def _recipe(
-    recordings: Sequence[Named], surveys: Sequence[Survey], planned: Sequence[PlannedEpisode], options: ImportOptions
+    recordings: Sequence[Named],
+    surveys: Sequence[Survey],
+    planned: Sequence[PlannedEpisode],
+    options: ImportOptions,
+    bags: Mapping[Path, Path],
 ) -> DatasetRecipe:
     parameters: dict[str, Scalar] = {
         "camera": surveys[0].camera,
@@ -261,6 +271,10 @@ def _recipe(
         parameters["source_hz"] = options.source_hz
     if FEWEST_EPISODES <= source_count(planned) < len(planned):
         parameters[SPLIT] = SOURCE
+        heard = {recordings[one.recording].path for one in planned}
+        parts = Counter(folder for path, folder in bags.items() if path in heard)
+        if several := sum(count > 1 for count in parts.values()):
+            parameters[BAGS] = several
     for number, recording in enumerate(recordings):
         parameters[f"{FILE}{number}"] = _as_text(recording.path.name)
         parameters[f"{HASH}{number}"] = recording.sha256()

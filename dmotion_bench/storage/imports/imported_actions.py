@@ -25,6 +25,7 @@ from dmotion_bench.storage.imports.continuous_commands import (
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Named, Survey
 from dmotion_bench.storage.imports.timeline import Piece, interval_ns
+from dmotion_bench.wording import duration
 
 SEVERAL: Final = 1.1
 """Commands a step from which on it is said that one is kept and the others are not."""
@@ -105,7 +106,7 @@ def check_pace(recording: Named, commands: Commands, pieces: Sequence[Piece], op
     if rate >= options.hz * (1 - 1 / LOST):  # they pause or end: with fewer frames as many of them would lack one
         missing_s = steps / options.hz - count / rate
         slow_down = (
-            f"They come at {rate:.3g} Hz and are missing for {missing_s:.3g} s in all: cut the recording to where "
+            f"They come at {rate:.3g} Hz and are missing for {duration(missing_s)} in all: cut the recording to where "
             "there are some, or import"
         )
     raise RecordingImportError(

@@ -20,7 +20,7 @@ from dmotion_bench.specs import SPLIT, DatasetRecipe, unplaced_labels
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.confinement import Confinement
 from dmotion_bench.storage.imports.fitting import fitted
-from dmotion_bench.storage.imports.import_plan import FILE, HASH, ImportPlan, PlannedEpisode, plan_import
+from dmotion_bench.storage.imports.import_plan import BAGS, FILE, HASH, ImportPlan, PlannedEpisode, plan_import
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
 from dmotion_bench.storage.imports.recording import Named, Recording, Survey
 from dmotion_bench.storage.imports.search import find
@@ -32,6 +32,8 @@ from dmotion_bench.storage.writer import DatasetWriter
 from dmotion_bench.workspace import DATASET_MANIFEST
 
 UNFINISHED: Final = ".importing"
+_OF_SPLIT: Final = (SPLIT, BAGS)
+"""The parameters of a recipe that say which episodes stay on one side of the split."""
 Progress = Callable[[str, int, int], None]
 """Called with what is being done, how much of it is done, and how much there is."""
 
@@ -56,7 +58,7 @@ def import_recordings(
     sweep(out, UNFINISHED)
     standing = standing_in(out)
     with Confinement(options) as confinement:
-        found = find(paths, options.camera)
+        found = find(paths, options.camera, salvage=options.salvage)
         found.require_sound()
         require_effect(found.sources, options)
         recordings = [open_recording(source, options, confinement) for source in found.sources]
@@ -96,11 +98,12 @@ def _other(standing: DatasetRecipe, wanted: DatasetRecipe) -> str:
     """Why a data set is not the one that is wanted, to follow "holds"."""
     known = standing.parameters
     hashes = {key: value for key, value in wanted.parameters.items() if key.startswith(HASH) and key in known}
-    split = {SPLIT: wanted.parameters[SPLIT]} if wanted.splits_by_source and SPLIT not in known else {}
-    if replace(standing, episodes=wanted.episodes, parameters={**known, **hashes, **split}) != wanted:
+    alike = {key: value for key, value in known.items() if key not in _OF_SPLIT} | hashes
+    alike |= {key: value for key, value in wanted.parameters.items() if key in _OF_SPLIT}
+    if replace(standing, episodes=wanted.episodes, parameters=alike) != wanted:
         return "a data set of other recordings or options"
     changed = [str(known[f"{FILE}{key.removeprefix(HASH)}"]) for key in hashes if hashes[key] != known[key]]
-    if not changed and SPLIT in wanted.parameters.keys() - known.keys():
+    if not changed and any(known.get(key) != wanted.parameters.get(key) for key in _OF_SPLIT):
         return (
             "what an earlier version of dmbench has made of these recordings, with parts of one recording in training "
             "and in test"

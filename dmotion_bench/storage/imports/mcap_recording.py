@@ -19,14 +19,12 @@ from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMessage, TopicInfo
 from dmotion_bench.storage.imports.mcap_topics import camera_topic, is_stream, named_topic
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
-from dmotion_bench.storage.imports.recording import Clock, Segment, Survey
-from dmotion_bench.storage.imports.timeline import irregularity
-from dmotion_bench.wording import shown
+from dmotion_bench.storage.imports.recording import Clock, Segment, Survey, told_of_harm
+from dmotion_bench.storage.imports.two_clocks import Jump, apart_s, is_ascending, is_steadier, jumps, told_of_jumps
+from dmotion_bench.wording import duration, shown
 
-UNEVEN = 0.5  # of intervals: jitter is less, pauses and bursts are more
 MOST_SENDERS = 4  # that are told of
 OTHERS = "import the others with '--salvage'"  # of a damaged picture that is not the first
-MOST_APART = 1.0  # [s] between a picture and its recording: a camera and a network take less, other clocks differ more
 Decoded = TypeVar("Decoded")
 Size = tuple[int, int]
 
@@ -132,13 +130,21 @@ class McapRecording:
         given = None if commands is None else self._collected(commands)
         if given is not None:
             self._check_clocks(taken, logged)
+        jumped = jumps(taken, logged) if self._clock is Clock.LOG else []
+        harm = [told_of_harm(self.path, taken)] if self._file.is_harmed else []
         return Survey(
             camera=self._camera,
             height=size[0],
             width=size[1],
-            segments=[Segment(times_ns=taken, commands=given)],
-            hints=self._clock_hints(taken, logged),
-            told=[*self._several(senders), *self._told_of_order, *self._other_messages(commands)],
+            segments=[Segment(times_ns=taken, commands=given, jumps=[jump.picture for jump in jumped])],
+            hints=self._clock_hints(taken, logged, jumped),
+            told=[
+                *harm,
+                *([f"{told_of_jumps(self.path, jumped)}."] if jumped else []),
+                *self._several(senders),
+                *self._told_of_order,
+                *self._other_messages(commands),
+            ],
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
@@ -254,8 +260,8 @@ class McapRecording:
         self._places = np.argsort(order)
         self._told_of_order = [
             f"{np.count_nonzero(intervals < 0):,} of {len(order):,} messages on {self._camera!r} were written after a "
-            f"later one, by up to {-intervals[furthest] / 1e9:.3g} s, and are sorted by the times of recording. If the "
-            "clock was set back while they were recorded, pictures of two moments alternate there: cut the file."
+            f"later one, by up to {duration(-intervals[furthest] / 1e9)}, and are sorted by the times of recording. If "
+            "the clock was set back while they were recorded, pictures of two moments alternate there: cut the file."
         ]
         return times_ns[order], others_ns[order]
 
@@ -307,7 +313,8 @@ class McapRecording:
             raise self._bad(
                 count,
                 self._camera,
-                f"has a time stamp {picture.stamp_ns / 1e9:.3g} s after 1970, which no clock shows; use '--clock log'",
+                f"has a time stamp {duration(picture.stamp_ns / 1e9)} after 1970, which no clock shows; use "
+                "'--clock log'",
             )
         return picture.stamp_ns
 
@@ -325,24 +332,38 @@ class McapRecording:
 
     def _check_clocks(self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"]) -> None:
         """Actions have the time at which they were recorded: the camera's clock has to agree with it."""
-        apart = float(np.median(others_ns - times_ns)) / 1e9
-        if self._clock is Clock.HEADER and abs(apart) > MOST_APART:
+        if self._clock is Clock.LOG or (apart := apart_s(others_ns, times_ns)) is None:
+            return
+        if found := jumps(others_ns, times_ns):
             raise RecordingImportError(
-                f"{str(self.path)!r}: the time stamps of {self._camera!r} are {apart:.3g} s before the times of "
-                "recording, so they are of another clock than the actions; use '--clock log'."
+                f"{told_of_jumps(self.path, found)}, so these are of another clock than the actions; use '--clock log'."
             )
+        raise RecordingImportError(
+            f"{str(self.path)!r}: the time stamps of {self._camera!r} are {duration(abs(apart))} "
+            f"{'before' if apart > 0 else 'after'} the times of recording, so they are of another clock than the "
+            "actions; use '--clock log'."
+        )
 
-    def _clock_hints(self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"]) -> list[str]:
+    def _clock_hints(
+        self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"], jumped: Sequence[Jump]
+    ) -> list[str]:
         """Whether the clock that was not asked for is the steadier one."""
-        if (np.diff(others_ns) <= 0).any():
+        if jumped:
+            hint = "an episode ends where the recorder's clock jumped; '--clock header' does not cut there"
+            if self._actions is not None:
+                hint += ", but cannot be used with '--actions': the actions have the recorder's times"
+            return [f"{hint}."]
+        if not is_ascending(others_ns) or not is_steadier(times_ns, others_ns):
             return []
-        uneven = irregularity(times_ns)
-        if uneven < UNEVEN or uneven < 2 * irregularity(others_ns):
-            return []
-        if self._clock is Clock.LOG:
-            return [f"{self._camera!r} was logged in bursts, its own time stamps are steadier: use '--clock header'."]
+        if self._clock is Clock.HEADER:
+            return [
+                f"the time stamps of {self._camera!r} are uneven, its times of logging are steadier: use '--clock log'."
+            ]
+        hint = f"{self._camera!r} was logged in bursts, its own time stamps are steadier"
+        if self._actions is None or apart_s(times_ns, others_ns) is None:
+            return [f"{hint}: use '--clock header'."]
         return [
-            f"the time stamps of {self._camera!r} are uneven, its times of logging are steadier: use '--clock log'."
+            f"{hint}, but of another clock than the actions: '--clock header' can be used without '--actions' alone."
         ]
 
     def _bad(self, count: int, topic: str, error: object) -> RecordingImportError:

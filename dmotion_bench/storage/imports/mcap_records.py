@@ -109,11 +109,13 @@ class _Chunks:
         most: No more than so many are read; None: all.
         begun: So many have been.
         usable: The first so many hold nothing that a checksum speaks against; the last of them may end early.
+        are_all: Whether the record was met that ends the data: no messages follow.
     """
 
     most: int | None = None
     begun: int = 0
     usable: int = 0
+    are_all: bool = False
 
 
 class McapFile:
@@ -126,7 +128,8 @@ class McapFile:
             does not match, none.
 
     Attributes:
-        is_harmed: Whether damage, or a cut, was met so far that is to be lived with.
+        is_harmed: Whether damage, or a cut, was met so far that is to be lived with; behind the last message it harms
+            nothing.
 
     Raises:
         RecordingImportError: The file is not there, cannot be read, or is no MCAP file.
@@ -205,27 +208,28 @@ class McapFile:
                 yield from self._walk(whole, topics, known, chunks)
             except Cut:
                 if isinstance(whole, Inflated) and whole.goes_on():
-                    self._damaged(file.tell(), Broken(f"it inflates to more than {MOST_INFLATED:,} times its size"))
+                    error: Exception = Broken(f"it inflates to more than {MOST_INFLATED:,} times its size")
+                    self._damaged(file.tell(), error, chunks)
                     return
                 if self.salvage:
-                    self.is_harmed = True
+                    self.is_harmed |= not chunks.are_all
                     return
                 raise RecordingTruncated(
                     f"{str(self.path)!r} is cut off: it ends in the middle of a record, after {size:,} bytes; "
                     "import what stands before the cut with '--salvage'."
                 ) from None
-            except (Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError) as error:
+            except (Broken, EndOfFile, UnicodeDecodeError, struct.error, OverflowError) as found:
                 if isinstance(whole, Inflated) and whole.at_end():
                     chunks.usable = chunks.begun  # the file ends in the middle of this one
-                self._damaged(file.tell(), error)
+                self._damaged(file.tell(), found, chunks)
 
-    def _damaged(self, offset: int, error: Exception) -> None:
+    def _damaged(self, offset: int, error: Exception, chunks: _Chunks) -> None:
         if not self.salvage:
             raise RecordingImportError(
                 f"{str(self.path)!r} is damaged near byte {offset:,}: {str(error)[:200] or type(error).__name__}; "
                 "import what stands before the damage with '--salvage'."
             ) from None
-        self.is_harmed = True
+        self.is_harmed |= not chunks.are_all
 
     def _walk(self, span: Span, topics: frozenset[str], known: _Directory, chunks: _Chunks) -> Iterator[RawMessage]:
         while True:
@@ -243,6 +247,7 @@ class McapFile:
                 yield from self._walk_chunk(inside, crc, topics, known)
                 chunks.usable = chunks.begun
             else:
+                chunks.are_all |= opcode == Opcode.DATA_END
                 message = self._record(opcode, body, topics, known)
                 if message is not None:
                     yield message

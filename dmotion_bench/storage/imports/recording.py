@@ -13,6 +13,7 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.commands import Commands
+from dmotion_bench.wording import counted, duration
 
 
 class Clock(StrEnum):
@@ -31,12 +32,14 @@ class Segment:
         commands: The actions over the same time; None where none were asked for.
         name: What a recording with several segments calls this one, for sentences; empty where it is the only one.
         number: By which ``Recording.pictures`` knows it; None: its place in the survey.
+        jumps: Numbers of frames before which the clock jumped: no frames are missing there.
     """
 
     times_ns: Int64[np.ndarray, " n"]
     commands: Commands | None = None
     name: str = ""
     number: int | None = None
+    jumps: Sequence[int] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +124,20 @@ class Recording(Protocol):
 
     def sha256(self) -> str:
         """Of its bytes, in hexadecimal."""
+
+
+def told_of_harm(path: Path, times_ns: Int64[np.ndarray, " n"]) -> str:
+    """What is told of a file of which only the beginning is imported.
+
+    Args:
+        path: The file.
+        times_ns: Of the pictures that stand whole in it.
+    """
+    lasting = duration(float(times_ns[-1] - times_ns[0]) / 1e9)
+    return (
+        f"{str(path)!r} is cut off or damaged after {counted(len(times_ns), 'picture')} ({lasting}); what follows is "
+        "left out."
+    )
 
 
 def steady_times(count: int, hz: float, path: Path) -> Int64[np.ndarray, " {count}"]:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from dmotion_bench.errors import RecordingImportError, UsageError
+from dmotion_bench.storage.imports.bags import bags_of, told_of_bags
 from dmotion_bench.storage.imports.lerobot_layout import INFO
 from dmotion_bench.storage.imports.natural_order import in_natural_order
 from dmotion_bench.storage.imports.passed_over import (
@@ -42,12 +43,14 @@ class Found:
         faults: Why a path, or a folder in one, gives no recording.
         told: Sentences about what lies in the folders and is not imported.
         doubts: Of a folder whose pictures may not be those that are meant: why, for the case that they are too few.
+        bags: The folders of the bags that several of the recordings are parts of, by these recordings' paths.
     """
 
     sources: Sequence[Source]
     faults: Mapping[Path, RecordingImportError]
     told: Sequence[str]
     doubts: Mapping[Path, str]
+    bags: Mapping[Path, Path]
 
     def require_sound(self) -> None:
         """Check that everything can be imported.
@@ -59,12 +62,13 @@ class Found:
             raise fault
 
 
-def find(paths: Sequence[Path], camera: str | None) -> Found:
+def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False) -> Found:
     """The recordings that are meant: files as they are, folders by what is in them.
 
     Args:
         paths: Files and folders.
         camera: The camera that was asked for; of pictures it is a folder, of videos it may be the name of files.
+        salvage: Whether empty files are told of and no faults, if there are recordings besides them.
 
     Raises:
         UsageError: A recording is named twice.
@@ -78,18 +82,27 @@ def find(paths: Sequence[Path], camera: str | None) -> Found:
             faults[path] = error
         except OSError as error:
             faults[path] = _unreadable(path, error)
+    empty = dict.fromkeys(one.path for one in sources if _is_empty(one.path))
+    sources = [one for one in sources if one.path not in empty]
+    is_harmless = salvage and bool(sources)
+    if not is_harmless:
+        faults |= {path: _empty(path, sources) for path in empty}
     folders = {one.path: episode_folders(one.path, camera) for one in sources if one.kind is Kind.PICTURES}
     require_once(sources, folders)
-    taken = _taken(sources, folders, camera, faults)
+    taken = _taken(sources, folders, camera, [*faults, *empty])
     over = [_passed_over(path, taken) for path in paths if _is_told_of(path, faults)]
+    bags = bags_of(source.path for source in sources if source.kind is Kind.MCAP)
     return Found(
         sources=sources,
         faults=faults,
         told=[
             *(sentence for one in over for sentence in one.sentences(camera)),
             *(sentence for path in paths if (sentence := _likely_cameras(path, sources)) is not None),
+            *told_of_bags(bags),
+            *([_told_of_empty(list(empty))] if empty and is_harmless else []),
         ],
         doubts={one.folder: _doubt(one) for one in over if one.readable and one.folder in folders},
+        bags=bags,
     )
 
 
@@ -185,7 +198,9 @@ def _at(path: Path, camera: str | None, faults: dict[Path, RecordingImportError]
     """The recordings at a path; see ``_in_folder``."""
     if not path.exists():
         raise RecordingImportError(f"there is no {str(path)!r}.")
-    return _in_folder(path, camera, faults) if path.is_dir() else [Source(path=path, kind=kind_of(path))]
+    if path.is_dir():
+        return _in_folder(path, camera, faults)
+    return [Source(path=path, kind=(_suffix_kind(path) or Kind.MCAP) if _is_empty(path) else kind_of(path))]
 
 
 def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImportError]) -> list[Source]:
@@ -266,6 +281,27 @@ def _no_folder_of(camera: str, folder: Path, others: Sequence[Path]) -> Recordin
 def _suffix_kind(file: Path) -> Kind | None:
     name = file.name.lower()
     return next((kind for suffix, kind in SUFFIXES.items() if name.endswith(suffix)), None)
+
+
+def _is_empty(path: Path) -> bool:
+    """Whether a path is a file without any content, as an interrupted copy or a full disk leaves it."""
+    try:
+        return path.is_file() and not path.stat().st_size
+    except OSError:
+        return False
+
+
+def _empty(file: Path, others: Sequence[Source]) -> RecordingImportError:
+    way_out = "leave it out with '--skip-damaged'" if others else "name another recording"
+    return RecordingImportError(
+        f"{str(file)!r} is empty: nothing was recorded, or its content was not copied. Copy it again, or {way_out}."
+    )
+
+
+def _told_of_empty(files: Sequence[Path]) -> str:
+    names = ", ".join(repr(str(file)) for file in files[:_SHOWN])
+    more = f" and {len(files) - _SHOWN} more" if len(files) > _SHOWN else ""
+    return f"{'1 file is' if len(files) == 1 else f'{len(files)} files are'} empty and left out: {names}{more}."
 
 
 def _unreadable(folder: Path, error: OSError) -> RecordingImportError:

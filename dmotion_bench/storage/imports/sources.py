@@ -215,8 +215,6 @@ def _what_else(start: bytes, file: Path) -> str:
         return f"is a ROS 2 bag in SQLite; {CONVERT_BAG}"
     if start.startswith((b"\xff\xd8\xff", b"\x89PNG")) or start[8:12] == b"WEBP":
         return "is a single picture; name the folder that it is in"
-    if not start:
-        return "is empty"
     if (arrays := arrays_of(file.name)) is not None:
         return f"holds {arrays}, {NOT_READ}"
     return f"is no recording that can be imported: {KNOWN}; FFmpeg makes an MKV of other videos: 'ffmpeg -i IN OUT.mkv'"

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,9 +75,16 @@ def longest_gap_ns(usual: float, tick: float) -> float:
     return max(min(GAP_INTERVALS * usual, MOST_TICKS * tick), GAP_TICKS * tick)
 
 
-def gaps_ns(times_ns: Int64[np.ndarray, " n"], *, hz: float) -> Int64[np.ndarray, " g"]:
-    """How long no frame came, each time that ends an episode by default [ns]; ``hz`` is the new clock's."""
+def gaps_ns(times_ns: Int64[np.ndarray, " n"], *, hz: float, jumps: Sequence[int] = ()) -> Int64[np.ndarray, " g"]:
+    """How long no frame came, each time that ends an episode by default [ns].
+
+    Args:
+        times_ns: When each frame was taken, ascending.
+        hz: Ticks a second.
+        jumps: See ``Segment``.
+    """
     intervals = np.diff(times_ns)
+    intervals[np.array(jumps, np.int64) - 1] = 0
     gaps: Int64[np.ndarray, " g"] = intervals[intervals > longest_gap_ns(interval_ns(times_ns), 1e9 / hz)]
     return gaps
 

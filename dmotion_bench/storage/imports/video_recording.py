@@ -17,7 +17,7 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError, RecordingTruncated
 from dmotion_bench.storage.imports.limits import ImportLimits
-from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
+from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times, told_of_harm
 from dmotion_bench.storage.video.file import VideoFile
 
 
@@ -69,7 +69,10 @@ class VideoRecording:
                 height=video.height,
                 width=video.width,
                 segments=[segment],
-                told=self._told_of_shape(video),
+                told=[
+                    *([told_of_harm(self.path, segment.times_ns)] if video.is_harmed else []),
+                    *self._told_of_shape(video),
+                ],
             )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:

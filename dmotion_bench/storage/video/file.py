@@ -64,6 +64,7 @@ class VideoFile:
         has_times: Whether the container keeps the time of each picture.
         rate: Pictures a second that the file declares; None where it does not.
         pixel_aspect: Width to height of a pixel as it is meant to be shown; 1 where the file does not say.
+        is_harmed: Whether the file is shorter than it says, or damage was met so far behind which nothing can be read.
 
     Raises:
         RecordingTruncated: The file ends before it should.
@@ -78,7 +79,8 @@ class VideoFile:
             kind = container_of(file.read(16))
             if kind is None:
                 raise self._bad("is no MP4, MKV, WebM or AVI file")
-            if not salvage and not _is_whole(file, kind, path.stat().st_size):
+            self.is_harmed = not _is_whole(file, kind, path.stat().st_size)
+            if not salvage and self.is_harmed:
                 raise RecordingTruncated(
                     f"the video {str(path)!r} is cut off: it is shorter than it says"
                     f"{self._way_out.format('what stands before the cut')}."
@@ -230,6 +232,7 @@ class VideoFile:
             if not self._salvage:
                 way_out = self._way_out.format("what stands before")
                 raise self._bad(f"is damaged after {at / 1e9:.3f} s: {error.strerror}{way_out}") from error
+            self.is_harmed = True
 
     def _timed(self, frame: VideoFrame) -> tuple[int | None, VideoFrame]:
         self._check_pixels(frame.height, frame.width)

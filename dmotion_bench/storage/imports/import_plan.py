@@ -23,6 +23,7 @@ from dmotion_bench.storage.imports.imported_actions import (
     action_spec,
     check_pace,
     commanded,
+    constant_advice,
     discrete_names,
     given_commands,
     pace_advice,
@@ -159,7 +160,7 @@ def plan_import(
         surveys=surveys,
         left_out=left_out,
         may_hold_actions=any(source.kind not in WITHOUT_ACTIONS for source in found.sources),
-        advice=(*told, *pace_advice(given, options)),
+        advice=(*told, *constant_advice(spec.actions, [one.actions for one in planned]), *pace_advice(given, options)),
     )
 
 

@@ -10,7 +10,6 @@ amount of time and memory, so ``sources`` has these files read in a process apar
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import json
 from array import array
@@ -26,6 +25,7 @@ from dmotion_bench.storage.imports.commands import protobuf_decoder
 from dmotion_bench.storage.imports.continuous_commands import (
     EXACT,
     ContinuousCommands,
+    meant,
     name_fault,
     value_fault,
 )
@@ -192,11 +192,9 @@ def _fields_of(message: Any) -> list[str]:
 
 def _unknown(known: Sequence[str], field: str) -> BadPicture:
     """The error for a field that is not among those of a message."""
-    near = difflib.get_close_matches(field, known, n=1)
-    hint = f"did you mean {near[0]!r}? Its" if near else "its"
     listed = ", ".join(map(_plain, known[:LISTED])) or "none"
     more = f" ... and more, {len(known)} in all" if len(known) > LISTED else ""
-    return BadPicture(f"has no field {shown(field)}; {hint} fields are: {listed}{more}")
+    return BadPicture(f"has no field {shown(field)}; {meant(known, field)} fields are: {listed}{more}")
 
 
 def _inside(node: Any, path: str) -> Any:

@@ -30,6 +30,7 @@ from dmotion_bench.storage.imports.continuous_commands import (
     value_fault,
 )
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.imports.ros1_messages import way_out
 from dmotion_bench.wording import shown
 
 LISTED: Final = 30  # fields that an error names
@@ -283,7 +284,7 @@ def _message_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
             f"{topic.topic!r} carries {topic.schema_name or 'messages without a schema'} written as "
             f"{topic.message_encoding[:40]!r} and defined in {topic.schema_encoding[:40]!r}; the fields are known of "
             "ROS 2 messages defined in 'ros2msg', of protobuf and of JSON. To import the video alone, leave "
-            "'--actions' and '--action-fields' out."
+            f"'--actions' and '--action-fields' out.{way_out(topic)}"
         )
     if name == JOINTS:
         return lambda data: _joints(decode(data))

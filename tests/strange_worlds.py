@@ -140,6 +140,17 @@ class Blind(Slider):
         raise AttributeError("'Blind' object has no attribute 'window'")
 
 
+class Choiceless(Slider):
+    """Has one action, which moves to the right."""
+
+    def __init__(self, *, render_mode: str | None = None) -> None:
+        super().__init__(render_mode=render_mode)
+        self.action_space = Discrete(1)
+
+    def step(self, action: Any) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        return super_step(self, 6)
+
+
 class Keyed(Slider):
     """Takes actions with names."""
 
@@ -240,6 +251,7 @@ def register() -> None:
         Listing,
         Paintless,
         Blind,
+        Choiceless,
         Keyed,
         Buttons,
         Boundless,

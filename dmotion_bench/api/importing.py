@@ -87,7 +87,7 @@ def import_recordings(
         seed: Of the split into training, validation and test.
         salvage: Import the undamaged beginning of a damaged file, and repeat the last picture for a damaged one.
         skip_damaged: Leave out recordings, and episodes of HDF5 files and LeRobot data sets, that cannot be imported or
-            have another picture size than most.
+            have pictures of other proportions than most.
         max_chunk_mib: Largest size of a decompressed chunk of an MCAP file [MiB].
         max_memory_mib: Most memory to decode a video with [MiB].
         out: The data set's folder; ``data/imported-NAME`` of the workspace by default.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -11,7 +11,14 @@ from dmotion_bench.addresses import remote_address
 from dmotion_bench.cli import data_export, data_import
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.specs import IMPORTED
 from dmotion_bench.wording import command
+
+_SIMULATORS: Final = ("gymnasium", "pymunk", "pybullet")
+"""Packages that have no part in an import, although ``dataset.json`` states their versions."""
+_NAMED: Final = 2  # recordings of an import; of more, the first and the last are named
+_UNSAID: Final = {"clock": "log", "min_frames": 3}
+"""Usual values of an import that are not said; neither is what is empty, zero or false."""
 
 group = typer.Typer(help="Inspect, check, repair, import and export data sets.", no_args_is_help=True)
 
@@ -48,11 +55,9 @@ def info(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
 
 def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
     recipe, frame = summary["recipe"], summary["frame"]
-    drawn = "".join(f", {name}={value}" for name, value in recipe["parameters"].items())
-    drawn += f", varying {', '.join(recipe['vary'])}" if recipe["vary"] else ""
     lines = [
         ("data set", f"{summary['dataset']} ({summary['format']})"),
-        ("made by", f"{recipe['environment']}, policy {recipe['policy']}, seed {recipe['seed']}{drawn}"),
+        ("made by", _imported(recipe) if recipe["environment"] == IMPORTED else _recorded(recipe)),
         ("frames", f"{frame['width']}x{frame['height']} pixels, {1e9 / frame['step_ns']:g} a second"),
         ("actions", _actions(summary["actions"])),
         ("objects", ", ".join(summary["objects"]) or "unknown"),
@@ -74,8 +79,37 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
         ),
         ("state", "repaired; episodes were lost" if summary["salvaged"] else "complete"),
         ("fingerprint", summary["fingerprint"]),
-        ("made with", ", ".join(f"{name} {version}" for name, version in summary["versions"].items())),
+        (
+            "made with",
+            ", ".join(
+                f"{name} {version}"
+                for name, version in summary["versions"].items()
+                if recipe["environment"] != IMPORTED or name not in _SIMULATORS
+            ),
+        ),
     ]
+
+
+def _recorded(recipe: dict[str, Any]) -> str:
+    """What a recording was made by."""
+    drawn = "".join(f", {name}={value}" for name, value in recipe["parameters"].items())
+    drawn += f", varying {', '.join(recipe['vary'])}" if recipe["vary"] else ""
+    return f"{recipe['environment']}, policy {recipe['policy']}, seed {recipe['seed']}{drawn}"
+
+
+def _imported(recipe: dict[str, Any]) -> str:
+    """What an import was made of: its recordings, without their hashes, and the options that are not the usual ones."""
+    from dmotion_bench.storage.imports.import_plan import FILE, HASH
+
+    given = recipe["parameters"]
+    files = [str(value) for name, value in given.items() if name.startswith(FILE)]
+    listed = ", ".join(files) if len(files) <= _NAMED else f"{files[0]} ... {files[-1]}"
+    facts = "".join(
+        f", {name}={value}"
+        for name, value in given.items()
+        if not name.startswith((FILE, HASH)) and value not in ("", 0, _UNSAID.get(name))
+    )
+    return f"import of {len(files)} recording{'s' * (len(files) != 1)}: {listed}; seed {recipe['seed']}{facts}"
 
 
 def _printable(text: str) -> str:

@@ -113,7 +113,7 @@ def data_import(
         typer.Option(
             "--skip-damaged",
             help="Leave out recordings, and episodes of HDF5 files and LeRobot data sets, that cannot be imported or "
-            "have another picture size than most, and say why.",
+            "have pictures of other proportions than most, and say why.",
         ),
     ] = False,
     workers: Annotated[

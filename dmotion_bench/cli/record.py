@@ -12,7 +12,7 @@ from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import AsJson, listed
 from dmotion_bench.cli.stdout import print_json
 from dmotion_bench.specs import Preset
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, sentence
 
 if TYPE_CHECKING:
     from dmotion_bench.recording.session import Recorded
@@ -153,10 +153,12 @@ def _follower(folder: Path, recipe: DatasetRecipe) -> Follower:
 
 def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
     """Print the result of a recording."""
+    from dmotion_bench.recording.advice import has_triplets, recording_advice
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.workspace import Workspace
 
-    tasks, replay = len(Dataset.open(recorded.dataset).tasks()), recorded.replay
+    dataset, replay = Dataset.open(recorded.dataset), recorded.replay
+    tasks, advice = len(dataset.tasks()), recording_advice(dataset)
     if as_json:
         print_json(
             {
@@ -168,6 +170,7 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
                 "tasks": tasks,
             }
             | ({} if replay is None else {"repeats": replay.identical})
+            | ({"advice": advice} if advice else {})
         )
         return
     typer.echo(f"{recorded.dataset}")
@@ -189,8 +192,8 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
         typer.echo(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
     else:
         typer.echo("  the data set was complete already; a larger --episodes extends it")
+    for told in advice:
+        typer.echo(f"  {sentence(told)}")
     name = Workspace.current().short(recorded.dataset)
-    typer.echo(
-        f"Look at it with {command('dmbench view', name)}, "
-        f"train on it with {command('dmbench train dmotion --data', name)}."
-    )
+    train = f", train on it with {command('dmbench train dmotion --data', name)}" if has_triplets(dataset) else ""
+    typer.echo(f"Look at it with {command('dmbench view', name)}{train}.")

@@ -38,6 +38,7 @@ from dmotion_bench.storage.imports.importing import (
     standing_in,
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+from dmotion_bench.storage.imports.picture_sizes import have_one_shape, usual_size
 from dmotion_bench.storage.imports.recording import Recording
 from dmotion_bench.storage.imports.search import find
 from dmotion_bench.storage.imports.sources import Source, open_recording, require_effect
@@ -210,8 +211,8 @@ def import_fleet(
     Args:
         paths, out, options: See ``import_recordings``.
         executor: Runs the jobs; all its machines see the recordings and the folder under the same paths.
-        skip_damaged: Leave out recordings that cannot be imported, and those whose pictures have another size than
-            most have; of recordings that hold several episodes, such episodes. The report says which and why.
+        skip_damaged: Leave out recordings that cannot be imported, and those whose pictures have other proportions
+            than most have; of recordings that hold several episodes, such episodes. The report says which and why.
         progress: Is told how far all jobs together are.
         jobs: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
 
@@ -280,13 +281,13 @@ def _sound(found: Sequence[Surveyed], skip: bool, skipped: dict[Path, RecordingI
         )
     if not skip:
         return sound
-    sizes = Counter((one.survey.width, one.survey.height) for one in sound if one.survey is not None)
-    (width, height), most = sizes.most_common(1)[0]
+    (width, height), most = usual_size([one.survey for one in sound if one.survey is not None])
     for one in sound:
-        if one.survey is not None and (one.survey.width, one.survey.height) != (width, height):
+        size = (width, height) if one.survey is None else (one.survey.width, one.survey.height)
+        if not have_one_shape(size, (width, height)):
             skipped[one.path] = RecordingImportError(
-                f"{str(one.path)!r} has pictures of {one.survey.width}x{one.survey.height} pixels, and {most} of the "
-                f"recordings have {width}x{height}."
+                f"{str(one.path)!r} has pictures of {size[0]}x{size[1]} pixels, and {most} of the recordings have "
+                f"{width}x{height}, which are other proportions."
             )
     return [one for one in sound if one.path not in skipped]
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 from dmbench_command import Outcome, dmbench
 from noise_world import files_of, write_noise
+from storage.foreign import foxglove_file, steady, video
 
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
@@ -50,6 +51,21 @@ def test_info_names_what_was_set_and_what_varies(run: Run, folder: Path) -> None
     content["recipe"] |= {"parameters": {"scene": "distracted", "version": 2}, "vary": ["noise", "shake"]}
     manifest.write_text(json.dumps(content | {"complete": False, "shards": [], "tables": {}}))
     assert "policy random, seed 0, scene=distracted, version=2, varying noise, shake\n" in run("info").out
+
+
+def test_info_of_an_import_names_what_matters(run: Run, tmp_path: Path) -> None:
+    files = [foxglove_file(tmp_path / f"bag_{number}.mcap", video(4, seed=number), steady(4)) for number in range(12)]
+    for name, some in (("many", files), ("two", files[:2])):
+        assert run("import", *map(str, some), "--size", "16", "--out", str(tmp_path / "data" / name)).code == 0
+    said = run("info", "many").out
+    made_by = "import of 12 recordings: bag_0.mcap ... bag_11.mcap; seed 0, camera=/camera, size=16, hz=10.0, fit=crop"
+    assert f"made by      {made_by}\n" in said
+    (made_with,) = [line for line in said.splitlines() if line.startswith("made with")]
+    assert "numpy" in made_with
+    assert not any(simulator in made_with for simulator in ("gymnasium", "pymunk", "pybullet"))
+    assert "import of 2 recordings: bag_0.mcap, bag_1.mcap; seed 0" in run("info", "two").out
+    told = json.loads(run("info", "many", "--json").out)
+    assert len(told["recipe"]["parameters"]["sha256_11"]) == 64
 
 
 def test_info_as_json(run: Run, folder: Path) -> None:

@@ -57,7 +57,7 @@ def in_turn(recordings: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[
 
 @pytest.fixture
 def spoilt(recordings: Path, tmp_path: Path) -> Path:
-    """A copy with a file cut short, one of no bytes, one of another picture size, and one with a broken picture."""
+    """A copy with a file cut short, one of no bytes, one of other proportions, and one with a broken picture."""
     folder = tmp_path / "spoilt"
     folder.mkdir()
     for path in recordings.glob("*.mcap"):
@@ -67,7 +67,7 @@ def spoilt(recordings: Path, tmp_path: Path) -> Path:
     (folder / "07.mcap").write_bytes(b"")
     for name in ("11.mcap", "20.mcap"):
         (folder / name).unlink()
-    foxglove_file(folder / "11.mcap", video(9, 24, 24), steady(9))
+    foxglove_file(folder / "11.mcap", video(9, 20, 24), steady(9))
     foxglove_file(folder / "20.mcap", [*video(9), np.zeros((32, 31, 3), np.uint8)], steady(10))
     return folder
 
@@ -128,7 +128,7 @@ def test_damaged_recordings_are_left_out_as_if_they_had_not_been_named(
     assert files_of(tmp_path / "d") == files_of(tmp_path / "sound")
     assert [Path(path).name for path, _ in report.skipped] == ["03.mcap", "07.mcap", "11.mcap", "20.mcap"]
     for (path, why), says in zip(
-        report.skipped, ("03.mcap", "07.mcap", "24x24 pixels, and 26", "20.mcap"), strict=True
+        report.skipped, ("03.mcap", "07.mcap", "24x20 pixels, and 26", "20.mcap"), strict=True
     ):
         assert says in why, (path, why)
     again = import_fleet([spoilt], tmp_path / "d", OPTIONS, skip_damaged=True)

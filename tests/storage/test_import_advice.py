@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from storage.foreign import compressed, video
 
+from dmotion_bench.actions import Continuous, Discrete
+from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.advice import advice, no_episode
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce
-from dmotion_bench.storage.imports.imported_actions import pace_advice
+from dmotion_bench.storage.imports.imported_actions import constant_advice, pace_advice
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
@@ -114,3 +116,44 @@ def test_commands_that_are_not_kept_are_told_of(per_step: int, said: str, of_pic
     assert not sentences or "'--action-reduce sum' adds displacements, 'mean' averages velocities" in sentences[0]
     for reduce in (Reduce.SUM, Reduce.MEAN):
         assert pace_advice([(piece, commands)], dataclasses.replace(options, action_reduce=reduce)) == ()
+
+
+def continuous(*names: str) -> Continuous:
+    return Continuous(names=names, low=(-9.0,) * len(names), high=(9.0,) * len(names), units=("",) * len(names))
+
+
+def test_numbers_that_never_change_are_told_of() -> None:
+    first, second = np.array([[0.0, 1, 0.5], [0, 2, 0.5]]), np.array([[0.0, 1, 0.5]])
+    twist = continuous("linear.y", "angular.z", "gain")
+    (two,) = constant_advice(twist, [first, None, second])
+    assert two == (
+        "linear.y is 0, gain is 0.5 in all actions, so they tell nothing; leave them out with "
+        "'--action-fields angular.z'."
+    )
+    (one,) = constant_advice(twist, [first, np.array([[0.0, 1, 1.5]])])
+    assert one.startswith("linear.y is 0 in all actions, so it tells nothing; leave it out with '--action-fields ang")
+    assert constant_advice(twist, [first + np.arange(2)[:, None]]) == ()
+    assert constant_advice(twist, [second]) == ()  # a single action says nothing about others
+    assert constant_advice(Discrete(("stay",)), [np.zeros(3, np.int64)]) == ()
+    assert constant_advice(None, [None]) == ()
+
+
+def test_many_numbers_that_never_change_are_counted() -> None:
+    many = continuous(*(f"joint,{number}" for number in range(12)))
+    values = np.zeros((3, 12))
+    values[1, 0] = 1
+    (sentence,) = constant_advice(many, [values])
+    assert "joint,10 is 0 ... (11 numbers in all) in all actions" in sentence
+    assert sentence.endswith("leave them out with '--action-fields'.")
+
+
+def test_actions_none_of_which_changes_are_refused(tmp_path: Path) -> None:
+    with h5py.File(tmp_path / "a.hdf5", "w") as file:
+        file["data/demo_0/obs/camera"] = video(4)
+        file["data/demo_0/actions"] = np.tile([0.0, 1.5], (4, 1))
+    options = ImportOptions(size=32, actions="actions")
+    with pytest.raises(
+        RecordingImportError, match=r"actions\.0 is 0, actions\.1 is 1\.5 in all .* '--action-fields', "
+    ):
+        import_recordings([tmp_path / "a.hdf5"], tmp_path / "out", options)
+    assert not (tmp_path / "out").exists()

@@ -1,7 +1,7 @@
-"""Camera messages of foxglove and ROS 2, in CDR, protobuf or JSON -> pictures or packets of video, not yet unpacked.
+"""Camera messages of foxglove and ROS, in CDR, protobuf or JSON -> pictures or packets of video, not yet unpacked.
 
-ROS messages are decoded by their published definitions (those below), not by the text a file carries:
-a schema from elsewhere is a program for the decoder, and the well-known ones never differ.
+ROS messages are decoded by their published definitions (those below, ``ros1_messages``), not by the text a file
+carries: a schema from elsewhere is a program for the decoder, and the well-known ones never differ.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
-from dmotion_bench.storage.imports.passed_over import CONVERTER
+from dmotion_bench.storage.imports.ros1_messages import ROS1_DECODERS, way_out
 
 _HEADER = """std_msgs/Header header
 {fields}
@@ -167,11 +167,13 @@ def message_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
         decode = _foxglove_decoder(name)
     elif topic.message_encoding == "json":
         decode = json.loads
+    elif topic.message_encoding == "ros1" and name in ROS1_DECODERS:
+        decode = ROS1_DECODERS[name]
     else:
-        way_out = f" A ROS 1 bag itself is converted with {CONVERTER}." if topic.message_encoding == "ros1" else ""
         raise RecordingImportError(
             f"{topic.topic!r} carries {topic.schema_name} written as {topic.message_encoding[:40]!r}; "
-            f"known are 'cdr' for ROS 2 messages, 'protobuf' for foxglove's, and 'json' for either.{way_out}"
+            f"known are 'cdr' for ROS 2 messages, 'ros1' for sensor_msgs, 'protobuf' for foxglove's, and 'json' for "
+            f"either.{way_out(topic)}"
         )
     return guarded(decode, name)
 

@@ -23,6 +23,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, guarded, ros_decoder, well_known
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.imports.ros1_messages import way_out
 from dmotion_bench.storage.imports.timeline import ROUNDED_NS
 
 FIELDS: Final = ("action", "data", "value")
@@ -72,6 +73,7 @@ def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
             "String, JSON like {\"action\": 2}, and protobuf with a field 'action', 'data' or 'value'. "
             "For continuous actions name the fields with their numbers, such as '--action-fields linear.x,angular.z'; "
             "to import the video alone, leave '--actions' out."
+            f"{way_out(topic)}"
         )
     return lambda data: action_name(_value(decode(data)))
 

@@ -19,6 +19,7 @@ from dmotion_bench.errors import InvalidSetting, RecordingImportError
 from dmotion_bench.storage.imports.timeline import ROUNDED_NS, Piece
 from dmotion_bench.wording import shown
 
+MEANT: Final = 3  # fields that are suggested
 LONGEST: Final = 100  # characters of a number's name
 FORGIVEN: Final = 4  # a command may come a quarter of a step before its frame
 LOST: Final = 100  # one command in so many may be missing
@@ -200,9 +201,15 @@ def from_rows(
 def _column(columns: Sequence[str], field: str) -> int:
     if field in columns:
         return columns.index(field)
-    near = difflib.get_close_matches(field, columns, n=1)
-    hint = f"did you mean {near[0]!r}? Its" if near else "its"
-    raise BadCommands(f"has no field {shown(field)} in its actions; {hint} fields are: {_listed(columns)}")
+    raise BadCommands(
+        f"has no field {shown(field)} in its actions; {meant(columns, field)} fields are: {_listed(columns)}"
+    )
+
+
+def meant(known: Sequence[str], field: str) -> str:
+    """Which fields somebody may have meant, to precede "fields are": those whose last part it is, or a similar one."""
+    near = [name for name in known if name.endswith(f".{field}")][:MEANT] or difflib.get_close_matches(field, known, 1)
+    return f"did you mean {' or '.join(map(shown, near))}? Its" if near else "its"
 
 
 def name_fault(names: Sequence[str]) -> str | None:

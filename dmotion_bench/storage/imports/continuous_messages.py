@@ -10,7 +10,6 @@ amount of time and memory, so ``sources`` has these files read in a process apar
 
 from __future__ import annotations
 
-import difflib
 import itertools
 import json
 from array import array
@@ -26,10 +25,12 @@ from dmotion_bench.storage.imports.commands import protobuf_decoder
 from dmotion_bench.storage.imports.continuous_commands import (
     EXACT,
     ContinuousCommands,
+    meant,
     name_fault,
     value_fault,
 )
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.imports.ros1_messages import way_out
 from dmotion_bench.wording import shown
 
 LISTED: Final = 30  # fields that an error names
@@ -192,11 +193,9 @@ def _fields_of(message: Any) -> list[str]:
 
 def _unknown(known: Sequence[str], field: str) -> BadPicture:
     """The error for a field that is not among those of a message."""
-    near = difflib.get_close_matches(field, known, n=1)
-    hint = f"did you mean {near[0]!r}? Its" if near else "its"
     listed = ", ".join(map(_plain, known[:LISTED])) or "none"
     more = f" ... and more, {len(known)} in all" if len(known) > LISTED else ""
-    return BadPicture(f"has no field {shown(field)}; {hint} fields are: {listed}{more}")
+    return BadPicture(f"has no field {shown(field)}; {meant(known, field)} fields are: {listed}{more}")
 
 
 def _inside(node: Any, path: str) -> Any:
@@ -285,7 +284,7 @@ def _message_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:
             f"{topic.topic!r} carries {topic.schema_name or 'messages without a schema'} written as "
             f"{topic.message_encoding[:40]!r} and defined in {topic.schema_encoding[:40]!r}; the fields are known of "
             "ROS 2 messages defined in 'ros2msg', of protobuf and of JSON. To import the video alone, leave "
-            "'--actions' and '--action-fields' out."
+            f"'--actions' and '--action-fields' out.{way_out(topic)}"
         )
     if name == JOINTS:
         return lambda data: _joints(decode(data))

@@ -24,12 +24,14 @@ from dmotion_bench.storage.imports.imported_actions import (
     action_spec,
     check_pace,
     commanded,
+    constant_advice,
     discrete_names,
     given_commands,
     pace_advice,
     step_actions,
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+from dmotion_bench.storage.imports.picture_sizes import have_one_shape, told_of_sizes, usual_size
 from dmotion_bench.storage.imports.recording import Named, Survey
 from dmotion_bench.storage.imports.search import Found
 from dmotion_bench.storage.imports.source_rate import source_hz, source_hz_range
@@ -129,7 +131,7 @@ def plan_import(
     names = discrete_names(surveys, options)
     pieces = _pieces(surveys, options)
     planned, left_out = _plan(recordings, surveys, pieces, names, options, found.bags)
-    hints = list(found.told)
+    hints = [*found.told, *told_of_sizes(surveys, options.size)]
     if options.salvage and any(source.kind in UNSALVAGED for source in found.sources):
         hints.append(
             "'--salvage' does nothing for HDF5 files and LeRobot data sets; '--skip-damaged' leaves out their damaged "
@@ -163,18 +165,20 @@ def plan_import(
         surveys=surveys,
         left_out=left_out,
         may_hold_actions=any(source.kind not in WITHOUT_ACTIONS for source in found.sources),
-        advice=(*told, *pace_advice(given, options)),
+        advice=(*told, *constant_advice(spec.actions, [one.actions for one in planned]), *pace_advice(given, options)),
     )
 
 
 def _check_sizes(recordings: Sequence[Named], surveys: Sequence[Survey]) -> None:
-    first = surveys[0]
-    for recording, survey in zip(recordings, surveys, strict=True):
-        if (survey.height, survey.width) != (first.height, first.width):
+    """Check that all pictures have one shape; their sizes may differ."""
+    usual, _ = usual_size(surveys)
+    sizes = [(survey.width, survey.height) for survey in surveys]
+    for recording, (width, height) in zip(recordings, sizes, strict=True):
+        if not have_one_shape((width, height), usual):
             raise RecordingImportError(
-                f"the recordings mix picture sizes: {first.width}x{first.height} pixels in "
-                f"{str(recordings[0].path)!r}, {survey.width}x{survey.height} in {str(recording.path)!r}; "
-                "import them into data sets of their own."
+                f"the recordings mix pictures of different proportions: {usual[0]}x{usual[1]} pixels in "
+                f"{str(recordings[sizes.index(usual)].path)!r}, {width}x{height} in {str(recording.path)!r}; "
+                "import them into data sets of their own, or leave out those that differ with '--skip-damaged'."
             )
 
 

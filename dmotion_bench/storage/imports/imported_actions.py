@@ -9,11 +9,12 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Int64
 
-from dmotion_bench.actions import ActionSpec, Discrete
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.advice import SLOWEST_HZ
 from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, in_force, ordered_names
 from dmotion_bench.storage.imports.continuous_commands import (
+    LONGEST,
     LOST,
     ContinuousCommands,
     Reduce,
@@ -29,6 +30,7 @@ from dmotion_bench.wording import duration
 
 SEVERAL: Final = 1.1
 """Commands a step from which on it is said that one is kept and the others are not."""
+LISTED: Final = 10  # numbers that a sentence names
 Actions = Int64[np.ndarray, " s"] | Float[np.ndarray, "s a"]
 
 
@@ -79,6 +81,37 @@ def action_spec(
     if not continuous:
         return Discrete(names) if names else None
     return bounded(continuous, [actions for actions in episodes if actions is not None], options.action_reduce)
+
+
+def constant_advice(actions: ActionSpec | None, episodes: Sequence[Actions | None]) -> tuple[str, ...]:
+    """A sentence about the numbers of continuous actions that are the same in all of them, if there are any.
+
+    Args:
+        actions: What they are.
+        episodes: The actions of each.
+
+    Raises:
+        RecordingImportError: All numbers are: a model would learn what nothing depends on, within bounds made up.
+    """
+    if not isinstance(actions, Continuous):
+        return ()
+    values = np.concatenate([one for one in episodes if one is not None and len(one)])
+    is_constant = (values == values[0]).all(axis=0)
+    if len(values) == 1 or not is_constant.any():
+        return ()
+    still = [f"{actions.names[place]} is {values[0, place]:g}" for place in np.flatnonzero(is_constant)]
+    listed = ", ".join(still[:LISTED]) + (f" ... ({len(still)} numbers in all)" if len(still) > LISTED else "")
+    what = f"{listed} in all actions, so {'it tells' if len(still) == 1 else 'they tell'} nothing"
+    if is_constant.all():
+        raise RecordingImportError(
+            f"{what}, and no other number was chosen. Name fields that change with '--action-fields', or import the "
+            "video alone by leaving '--actions' out."
+        )
+    changing = [name for name, is_still in zip(actions.names, is_constant, strict=True) if not is_still]
+    fits = len(",".join(changing)) <= LONGEST and not any("," in name for name in changing)
+    others = f" {','.join(changing)}" if fits else ""
+    without = f"leave {'it' if len(still) == 1 else 'them'} out with '--action-fields{others}'"
+    return (f"{what}; {without}.",)
 
 
 def commanded(piece: Piece, commands: Commands) -> Piece:

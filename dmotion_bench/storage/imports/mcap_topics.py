@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Final
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import KNOWN, BadPicture, VideoPacket, is_camera, picture_decoder
 from dmotion_bench.storage.imports.mcap_records import McapFile, TopicInfo
 from dmotion_bench.storage.imports.pixels import size_of
 
-LISTED = 30  # topics that an error names
+LISTED: Final = 30  # topics that an error names
+MEANT: Final = 3  # topics that are suggested
 
 
 def camera_topic(file: McapFile, topics: Sequence[TopicInfo], asked: str | None) -> str:
     """The camera's topic: the one asked for, or the only one whose pictures can be imported.
 
+    A part of the topic's path is enough where no other camera has it: ``front`` for ``/front/image_raw``.
+
     Raises:
         RecordingImportError: There is no such topic, none at all, or several to choose from.
     """
     if asked is not None:
+        within = topics_with([topic.topic for topic in topics if is_camera(topic)], asked)
+        if len(within) == 1 and all(topic.topic != asked for topic in topics):
+            return within[0]
         return named_topic(file, topics, asked, "camera")
     cameras = sorted({topic.topic for topic in topics if is_camera(topic)})
     if not cameras:
@@ -46,9 +53,20 @@ def named_topic(file: McapFile, topics: Sequence[TopicInfo], asked: str, option:
     names = sorted({topic.topic for topic in topics})
     if asked in names:
         return asked
-    near = difflib.get_close_matches(asked, names, n=1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
+    fit = [topic.topic for topic in topics if option != "camera" or is_camera(topic)]
+    near = topics_with(fit, asked)[:MEANT] or difflib.get_close_matches(asked, names, n=1)
+    hint = f"did you mean {' or '.join(map(repr, near))}? " if near else ""
     raise RecordingImportError(f"{str(file.path)!r} has no topic {asked!r} for '--{option}'; {hint}{_listing(topics)}")
+
+
+def topics_with(names: Iterable[str], part: str) -> list[str]:
+    """The topics whose path holds these whole parts: ``front`` or ``front/image_raw`` that of ``/front/image_raw``.
+
+    A topic that differs in slashes at its ends alone is the only one.
+    """
+    bare = part.strip("/")
+    within = sorted({name for name in names if bare and f"/{bare}/" in f"/{name.strip('/')}/"})
+    return [name for name in within if name.strip("/") == bare] or within
 
 
 def is_stream(file: McapFile, camera: str) -> bool:

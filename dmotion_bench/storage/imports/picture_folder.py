@@ -1,6 +1,6 @@
 """A folder of pictures as a recording: each folder with pictures is an episode, in the natural order of their names.
 
-Pictures have no times; they count as taken at a steady rate.
+Pictures have no times; they count as taken at a steady rate, and ``picture_numbers`` says where some are missing.
 
 Names that differ in more than their numbers, ``img0_left.png`` and ``img0_right.png``, are of several cameras. A
 pattern such as ``img#_left.png`` chooses one: a ``#`` stands for each number.
@@ -9,7 +9,6 @@ pattern such as ``img#_left.png`` chooses one: a ``#`` stands for each number.
 from __future__ import annotations
 
 import hashlib
-import re
 import stat
 from collections import Counter
 from collections.abc import Callable, Iterator
@@ -23,19 +22,19 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.natural_order import in_natural_order
+from dmotion_bench.storage.imports.picture_numbers import NUMBER, steps_between
 from dmotion_bench.storage.imports.pixels import Shape, shape_of, to_rgb
-from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
+from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times, times_after
 from dmotion_bench.wording import shown
 
 PICTURES: Final = (".jpeg", ".jpg", ".png", ".webp")
 _HEAD: Final = 1 << 20  # of a picture's file: its size stands there, if not behind a large thumbnail
-_NUMBER: Final = re.compile(r"\d+(?:\.\d+)*")
 _LISTED: Final = 10  # patterns that an error names
 
 
 def pattern_of(name: str) -> str:
     """A picture's name with a ``#`` for each number: ``img#_left.png``; a time with a fraction is one number."""
-    return _NUMBER.sub("#", name)
+    return NUMBER.sub("#", name)
 
 
 def folder_and_pattern(camera: str | None) -> tuple[str | None, str | None]:
@@ -158,7 +157,7 @@ class PictureFolder:
             RecordingImportError: They are of several cameras, sizes or kinds, too many, or no pictures.
         """
         first: tuple[Path, Shape] | None = None
-        segments, count = [], 0
+        segments, count, missing = [], 0, Counter[Path]()
         for folder in self._folders:
             files, shape = self._in(folder), None
             for file in files:
@@ -170,7 +169,13 @@ class PictureFolder:
                 progress(count)
             if count > self._limits.frames:
                 raise RecordingImportError(f"{str(self.path)!r} holds more pictures than can be imported at once.")
-            segments.append(Segment(times_ns=steady_times(len(files), self._source_hz, self.path)))
+            steps = steps_between([file.name for file in files])
+            if steps is None:
+                times = steady_times(len(files), self._source_hz, self.path)
+            else:
+                times = times_after(steps, self._source_hz, self.path)
+                missing[folder] = int((steps > 1).sum())
+            segments.append(Segment(times_ns=times))
         if first is None:
             raise RecordingImportError(f"{str(self.path)!r} holds no pictures ({', '.join(PICTURES)}).")
         shape = first[1]
@@ -179,6 +184,7 @@ class PictureFolder:
             height=shape.height,
             width=shape.width,
             segments=segments,
+            told=self._told_of_missing(+missing),
             is_deep=shape.is_deep,
             is_rate_assumed=self._is_rate_assumed,
         )
@@ -218,6 +224,17 @@ class PictureFolder:
                 f"{listed_patterns(patterns)}"
             )
         return files
+
+    def _told_of_missing(self, places: Counter[Path]) -> list[str]:
+        """What is told of numbers or times that are missing among the names, by the folder."""
+        if not places:
+            return []
+        count = places.total()
+        where = f"{count:,} {'place' if count == 1 else 'places'} of "
+        where += (
+            f"{str(next(iter(places)))!r}" if len(places) == 1 else f"{len(places):,} folders in {str(self.path)!r}"
+        )
+        return [f"numbers are missing in the names of the pictures, in {where}: those pictures count as lost."]
 
     def _mixed(self, one: Path, shape: Shape, other: Path, others_shape: Shape) -> RecordingImportError:
         """The error for two pictures that do not go together."""

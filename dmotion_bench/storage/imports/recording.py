@@ -146,10 +146,30 @@ def steady_times(count: int, hz: float, path: Path) -> Int64[np.ndarray, " {coun
     Raises:
         RecordingImportError: The last one would be later than a time can be.
     """
+    return _times_at(np.arange(count), hz, path)
+
+
+def times_after(steps: Int64[np.ndarray, " n"], hz: float, path: Path) -> Int64[np.ndarray, " n+1"]:
+    """When the pictures of a recording without times were taken, some of which are missing: the first at 0 [ns].
+
+    Args:
+        steps: How many each picture but the first comes after the one before.
+        hz: Steps a second.
+        path: Of the recording.
+
+    Raises:
+        RecordingImportError: The last one would be later than a time can be.
+    """
+    return _times_at(np.append(0, np.cumsum(steps)), hz, path)
+
+
+def _times_at(steps: Int64[np.ndarray, " n"], hz: float, path: Path) -> Int64[np.ndarray, " n"]:
+    """The times of some steps, ascending [ns]."""
+    count = int(steps[-1]) + 1 if len(steps) else 0
     if count * 1e9 / hz >= 2**62:
         raise RecordingImportError(
             f"{str(path)!r} has {count:,} pictures at {hz:g} Hz, more than a century of them; say another rate with "
             "'--source-hz'."
         )
-    times: Int64[np.ndarray, " {count}"] = np.rint(np.arange(count) * (1e9 / hz)).astype(np.int64)
+    times: Int64[np.ndarray, " n"] = np.rint(steps * (1e9 / hz)).astype(np.int64)
     return times

@@ -1,0 +1,117 @@
+"""Numbers that are missing in the names of pictures: the pictures before and after them are not neighbours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from storage.foreign import compressed, video
+
+from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.imports.importing import import_recordings
+from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+from dmotion_bench.storage.imports.picture_numbers import steps_between
+
+OPTIONS = ImportOptions(size=32, source_hz=10)
+T0 = 1_700_000_000
+
+
+def fill(folder: Path, names: Sequence[str], seed: int = 0) -> np.ndarray:
+    """A folder with a picture of each name, and the pictures."""
+    folder.mkdir(parents=True)
+    frames = video(len(names), seed=seed)
+    for name, frame in zip(names, frames, strict=True):
+        (folder / name).write_bytes(compressed(frame, "png"))
+    return frames
+
+
+def imported(folder: Path, options: ImportOptions = OPTIONS) -> tuple[ImportReport, Dataset]:
+    report = import_recordings([folder], folder.parent / "out", options)
+    return report, Dataset.open(report.path)
+
+
+def test_a_jump_of_several_pictures_is_no_step(tmp_path: Path) -> None:
+    with_gap = [f"frame_{number}.png" for number in [*range(10), *range(14, 25)]]
+    first = fill(tmp_path / "run/ep0", with_gap)
+    fill(tmp_path / "run/ep1", with_gap, seed=1)
+    whole = fill(tmp_path / "run/ep2", [f"frame_{number}.png" for number in range(7)], seed=2)
+    report, dataset = imported(tmp_path / "run")
+    assert dataset.lengths.tolist() == [10, 11, 10, 11, 7]
+    np.testing.assert_array_equal(dataset.video(0), first[:10])
+    np.testing.assert_array_equal(dataset.video(1), first[10:])
+    np.testing.assert_array_equal(dataset.video(4), whole)
+    told, gaps = report.advice[:2]
+    assert told.startswith("numbers are missing in the names of the pictures, in 2 places of 2 folders in ")
+    assert gaps.startswith("pictures are missing in 2 places, for 0.5 ")
+
+
+def test_one_lost_picture_is_replaced_by_the_one_before(tmp_path: Path) -> None:
+    frames = fill(tmp_path / "run", [f"{number:04d}.png" for number in (0, 2, 4, 8, 10)])
+    report, dataset = imported(tmp_path / "run")
+    np.testing.assert_array_equal(dataset.video(0), frames[[0, 1, 2, 2, 3, 4]])
+    assert (report.repeated, report.source_hz) == (1, pytest.approx(8))
+    assert f"in 1 place of {str(tmp_path / 'run')!r}: " in report.advice[0]
+
+
+def test_a_gap_may_be_bridged(tmp_path: Path) -> None:
+    frames = fill(tmp_path / "run", [f"{number}.png" for number in (0, 1, 2, 3, 7)])
+    _, dataset = imported(tmp_path / "run", replace(OPTIONS, max_gap_s=1))
+    np.testing.assert_array_equal(dataset.video(0), frames[[0, 1, 2, 3, 3, 3, 3, 4]])
+
+
+@pytest.mark.parametrize(
+    ("per_second", "form"), [(1, ".6f"), (1, ".1f"), (10**3, ".0f"), (10**6, ".0f"), (10**9, ".0f")]
+)
+def test_a_pause_between_times_ends_an_episode(tmp_path: Path, per_second: int, form: str) -> None:
+    jitter = np.random.default_rng(0).uniform(-0.1, 0.1, 12)
+    seconds = [T0 + (place + off + 5 * (place > 7)) / 2 for place, off in enumerate(jitter)]
+    names = [f"{one * per_second:{form}}.png" for one in seconds]
+    frames = fill(tmp_path / "run", names)
+    report, dataset = imported(tmp_path / "run")
+    assert dataset.lengths.tolist() == [8, 4]
+    np.testing.assert_array_equal(np.concatenate([dataset.video(0), dataset.video(1)]), frames)
+    assert report.advice[0].startswith("numbers are missing")
+
+
+@pytest.mark.parametrize(
+    ("numbers", "steps"),
+    [
+        ([0, 1, 2, 3], [1, 1, 1]),
+        ([5, 10, 15, 30, 35], [1, 1, 3, 1]),
+        (["x0001_left2", "x0002_left2", "x0003_left2", "x0009_left2"], [1, 1, 6]),
+        (["7_0", "8_1", "9_2", "11_4"], [1, 1, 2]),
+        ([0, 1, 2, 3, 10**40], [1, 1, 1, 1_000_000]),
+        ([f"{place}_{T0 + place + 9 * (place > 2)}000" for place in range(6)], [1, 1, 10, 1, 1]),
+        (["20240101_0001", "20240101_0002", "20240101_0003", "20240101_0007"], [1, 1, 4]),
+        ([0, 1, 5], None),  # too few to have a usual difference
+        ([3, 17, 58, 61, 104, 120], None),
+        ([0, 1, 2, 3, 3.5], None),
+        ([0, 2, 4, 7, 9], None),
+        (["1_9", "1_10", "2_0", "2_1"], None),
+        (["1.8", "1.9", "1.10", "1.20"], None),
+        (["20240101_120057", "20240101_120058", "20240101_120059", "20240101_120100"], None),
+        ([20240101120057, 20240101120058, 20240101120059, 20240101120100], None),
+        ([f"{T0 + one}000" for one in (0, 1, 30, 31, 90, 200, 201, 400)], None),
+        (["left", "left", "left", "left"], None),
+    ],
+)
+def test_steps_between_names(numbers: Sequence[object], steps: list[int] | None) -> None:
+    found = steps_between([f"{number}.png" for number in numbers])
+    assert (None if found is None else found.tolist()) == steps
+
+
+def test_random_numbers_stay_one_episode_without_a_remark(tmp_path: Path) -> None:
+    frames = fill(tmp_path / "run", [f"{number}.png" for number in (3, 17, 58, 61, 104, 120)])
+    report, dataset = imported(tmp_path / "run")
+    np.testing.assert_array_equal(dataset.video(0), frames)
+    assert not any("missing" in told for told in report.advice)
+
+
+def test_numbers_that_no_clock_can_reach(tmp_path: Path) -> None:
+    fill(tmp_path / "run", [f"{number}.png" for number in [*range(9), *(place * 10**30 for place in range(1, 6))]])
+    with pytest.raises(RecordingImportError, match=r"has 5,000,009 pictures at 0\.001 Hz, more than a century"):
+        imported(tmp_path / "run", replace(OPTIONS, source_hz=0.001, hz=0.01))

@@ -42,7 +42,7 @@ def train_many(
 
     Raises:
         RunError: One of them failed; at the end.
-        UsageError: No seed is named.
+        UnknownName, InvalidSetting, UsageError: The request asks for what cannot be trained.
     """
     from dmotion_bench.api.side_by_side import seed_rows, table_rows, train_every
     from dmotion_bench.cli.jobs import jobs_bar

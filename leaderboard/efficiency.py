@@ -29,7 +29,7 @@ import numpy as np
 from jaxtyping import Float
 
 from dmotion_bench.scoring.statistics import FEWEST_EPISODES, expanded_tail
-from dmotion_bench.scoring.trainings import widening
+from dmotion_bench.scoring.trainings import as_factor, widening
 from leaderboard.row import Row
 from leaderboard.value import values_of
 
@@ -174,8 +174,7 @@ def _drawn(
     for total, own in zip(totals, trainings, strict=True):
         of_each = total[:, episodes].sum(-1) / frames
         drawn, middle = np.take_along_axis(of_each.T, own, axis=1).mean(1), of_each.mean(0)
-        ratio = np.divide(drawn, middle, out=np.ones_like(drawn), where=middle > 0)
-        errors.append(middle * ratio ** widening(total, counts))
+        errors.append(as_factor(drawn, middle, widening(total, counts)))
     return list(zip(*(one.tolist() for one in errors), strict=True))
 
 

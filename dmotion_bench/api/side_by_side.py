@@ -188,6 +188,7 @@ def _trained_at_once(
         hands.count(0, total)
         outcomes = train_side_by_side(
             request,
+            chosen,
             dataset,
             workspace,
             executor,
@@ -196,7 +197,6 @@ def _trained_at_once(
             progress=folder,
             trackers=trackers,
             loaders=loaders,
-            chosen=chosen,
         )
         with watching(folder, hands.watch), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):

@@ -241,7 +241,8 @@ def score_run(
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
-        own = contextlib.nullcontext() if is_built_in(MODELS, run.spec.model) else using(run.model)
+        is_ours = is_built_in(MODELS, run.spec.model)
+        own = contextlib.nullcontext() if is_ours else using(run.model)
         with using_threads(run.threads), own:
             scores = score_model(
                 run.model,
@@ -253,7 +254,7 @@ def score_run(
                 earlier=samples_of(samples, set(true) - set(metrics)),
                 journal=(journal := folder / CONTROL_JOURNAL),
             )
-            unsound = None if isinstance(own, contextlib.nullcontext) else unsound_prediction(run.model, dataset)
+            unsound = None if is_ours else unsound_prediction(run.model, dataset)
         groups = tuple(dict.fromkeys((*true, *metrics)))
         scored = compose_report(run, dataset, scores.figures, scores.reference, settings.to_json(groups))
         if report is not None:

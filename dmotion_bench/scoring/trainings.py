@@ -76,12 +76,20 @@ def _drawn(
         generator = np.random.default_rng([seed[0], episodes, trainings, *seed[1:]])
         share = generator.multinomial(trainings, np.full(trainings, 1 / trainings), size=resamples) / trainings
         found = (share * means).sum(axis=1)
-        if (sums >= 0).all():
-            ratio = np.divide(found, middle, out=np.ones_like(found), where=middle > 0)
-            middle *= ratio**wider
-            return middle
-        middle = middle + wider * (found - middle)
+        middle = as_factor(found, middle, wider) if (sums >= 0).all() else middle + wider * (found - middle)
     return middle
+
+
+def as_factor(drawn: Float[np.ndarray, " r"], middle: Float[np.ndarray, " r"], wider: float) -> Float[np.ndarray, " r"]:
+    """Drawn means of trainings, whose distance from the mean of all is widened as a factor.
+
+    Args:
+        drawn, middle: Nowhere negative.
+        wider: See ``widening``.
+    """
+    ratio = np.divide(drawn, middle, out=np.ones_like(drawn), where=middle > 0)
+    widened: Float[np.ndarray, " r"] = middle * ratio**wider
+    return widened
 
 
 def _bounds(drawn: Float[np.ndarray, " r"], episodes: int) -> tuple[float, float]:

@@ -122,8 +122,8 @@ FAULTS = (
     Fault(
         name="a difference of several trainings is one of these trainings alone",
         file="dmotion_bench/scoring/trainings.py",
-        right="middle *= ratio**wider",
-        wrong="middle *= ratio ** (0 * wider)",
+        right='widened: Float[np.ndarray, " r"] = middle * ratio**wider',
+        wrong='widened: Float[np.ndarray, " r"] = middle * ratio ** (0 * wider)',
         tests=("tests/scoring/test_trainings.py",),
     ),
     Fault(

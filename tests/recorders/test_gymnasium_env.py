@@ -211,29 +211,6 @@ def test_what_does_not_repeat_is_recorded_and_said(run: Run, tmp_path: Path) -> 
     assert json.loads(run("gym:Strange/Unseeded-v0", *SMALL, "--tasks", "3", "--json").out)["repeats"] is False
 
 
-def test_a_single_action_is_told_of(run: Run) -> None:
-    words = ("gym:Strange/Choiceless-v0", *SMALL)
-    outcome = run(*words)
-    assert outcome.code == 0
-    assert "  the environment has a single action, '0': no model can learn what an action does" in outcome.out
-    (told,) = json.loads(run(*words, "--json").out)["advice"]
-    assert told.startswith("the environment has a single action")
-
-
-def test_episodes_of_two_frames_are_told_of(run: Run, tmp_path: Path) -> None:
-    outcome = run(SLIDER, *SMALL, "--set", "max_episode_steps=1")
-    assert outcome.code == 0
-    assert (
-        "  no episode has more than 2 frames, and models learn from 3 in a row: nothing can be trained" in outcome.out
-    )
-    assert "train on it with" not in outcome.out
-    words = (SLIDER, *SMALL, "--set", "max_episode_steps=2", "--out", str(tmp_path / "longer"))
-    longer = run(*words)
-    assert "no episode" not in longer.out
-    assert "train on it with" in longer.out
-    assert "advice" not in json.loads(run(*words, "--json").out)
-
-
 def test_json_is_alone_on_stdout_whatever_a_simulator_prints(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -244,6 +244,7 @@ def _rows_trained(job: TableJob) -> list[RowResult]:
 
 def train_side_by_side(
     request: TrainingRequest,
+    chosen: Iterable[Row],
     dataset: Dataset,
     workspace: Workspace,
     executor: Executor,
@@ -253,7 +254,6 @@ def train_side_by_side(
     progress: Path | None = None,
     trackers: tuple[str, ...] = (),
     loaders: int | None = None,
-    chosen: Iterable[Row] | None = None,
 ) -> Generator[Outcome]:
     """Train every row, several models and seeds at a time; the outcomes come as they are ready.
 
@@ -261,13 +261,13 @@ def train_side_by_side(
 
     Args:
         request, dataset, workspace: See ``train_table``.
+        chosen: The rows, those of one model and seed after each other.
         executor: Runs the jobs; all its machines see the data set and the workspace under the same paths.
         threads: That each training computes with.
         device: Where.
         progress: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
         trackers: See ``train``.
         loaders: Threads of each that read the compressed files of a run that streams them; None for the usual number.
-        chosen: Which rows, those of one model and seed after each other; all by default.
     """
     jobs = [
         TableJob(
@@ -281,7 +281,7 @@ def train_side_by_side(
             trackers=trackers,
             loaders=loaders,
         )
-        for (model, seed), own in itertools.groupby(rows(dataset) if chosen is None else chosen, key=job_of)
+        for (model, seed), own in itertools.groupby(chosen, key=job_of)
     ]
     yield from train_jobs(jobs, executor)
 

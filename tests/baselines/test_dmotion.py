@@ -86,6 +86,18 @@ def test_before_training_the_papers_motions_are_the_identity() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("arch", DMotionNoSTN.architectures)
+def test_before_training_the_ablations_kernels_hardly_move_anything(arch: str) -> None:
+    """The kernel of one in the middle moves nothing; no bound keeps the others near it."""
+    torch.manual_seed(0)
+    model = DMotionNoSTN(DMotionNoSTN.configure(arch), INPUTS).eval()
+    with torch.no_grad():
+        motion = model.motion(_images(2, 128), _images(2, 128, 1))
+    identity = model.transform.identity()
+    assert torch.linalg.vector_norm(motion - identity, dim=-1).max() < 0.2 * torch.linalg.vector_norm(identity)
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("arch", ["compact", "paper"])
 def test_the_next_frame_reaches_the_prediction_through_the_agents_motion_alone(arch: str) -> None:
     model = _model(INPUTS if arch == "paper" else SMALL, arch=arch, jitter=0.0, jitter_end=0.0).eval()
@@ -182,11 +194,17 @@ def test_sizes_that_it_cannot_take_are_said(height: int) -> None:
         DMotion(DMotionConfig(), ModelInputs(height=height, width=height, actions=Discrete.numbered(4)))
 
 
-@pytest.mark.parametrize("setting", [{"warp": True}, {"gate_floor": 0.01}, {"width": 2}])
-def test_the_papers_interaction_learner_has_no_such_choice(setting: dict[str, Any]) -> None:
+@pytest.mark.parametrize("setting", [{"warp": True}, {"gate_floor": 0.01}, {"width": 2}, {"motion_std": 0.01}])
+def test_the_papers_networks_have_no_such_choice(setting: dict[str, Any]) -> None:
     (name,) = setting
     with pytest.raises(InvalidSetting, match=f"{name} is for arch=compact"):
         DMotionConfig(arch="paper", **setting)
+
+
+@pytest.mark.parametrize("std", [0.0, -0.1, 2.0])
+def test_how_motions_start_has_bounds(std: float) -> None:
+    with pytest.raises(InvalidSetting, match="motion_std must be above 0 and at most 1"):
+        DMotionConfig(motion_std=std)
 
 
 def test_going_back_undoes_going_there() -> None:

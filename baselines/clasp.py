@@ -50,17 +50,22 @@ class ClaspConfig(UNetConfig):
         length: Numbers in a latent action.
         beta: Weight of the divergence [per nat] of each latent action, composed ones too, against the mean squared
             error of images in [0, 1].
+        warm_up: Share of the training over which beta grows from 0 (Bowman et al. 2016, *Generating sentences from a
+            continuous space*). Else the divergence may empty the latent actions before the predictor uses them.
         hidden: Width of the recurrent predictor and of the composition network.
     """
 
     length: int = 16
     beta: float = 2e-4
+    warm_up: float = 0.0
     hidden: int = 128
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.length < 1 or self.hidden < 1 or self.beta < 0:
             raise InvalidSetting("length and hidden must be 1 or more, beta 0 or more.")
+        if not 0 <= self.warm_up <= 1:
+            raise InvalidSetting("warm_up must be 0 to 1.")
 
 
 class Clasp(ForwardModel[ClaspConfig]):
@@ -87,11 +92,21 @@ class Clasp(ForwardModel[ClaspConfig]):
         self.predictor = nn.LSTMCell(config.hidden + config.length, config.hidden)
         self.decoder = CodedUNet(config.hidden + config.length, frames=1, config=config)
         self.table = ActionToLatent(inputs.actions, config.length)
+        self.beta = config.beta
+
+    @classmethod
+    def configure(cls, arch: str) -> ClaspConfig:
+        """Beta grows at first."""
+        return ClaspConfig(warm_up=0.2)
 
     @classmethod
     def training_defaults(cls, preset: Preset, arch: str) -> TrainingConfig:
         """DMotion's settings; a triplet takes 1.5 times as long as with DMotion."""
         return compact_recipe(preset, passes=0.7)
+
+    def progress(self, share: float) -> None:
+        """Let beta grow."""
+        self.beta = self.config.beta * (min(1.0, share / self.config.warm_up) if self.config.warm_up else 1.0)
 
     def losses(self, batch: TripletBatch) -> Losses:
         """x_{t+1} step by step and in one composed step, in [-1, 1] units (four times [0, 1]'s); divergences."""
@@ -106,8 +121,9 @@ class Clasp(ForwardModel[ClaspConfig]):
         each = squared_error(stepwise, following)
         prediction, composition = each.mean(), squared_error(composed, following).mean()
         divergence = first.divergence() + second.divergence() + merged.divergence()
+        beta = self.beta if self.training else self.config.beta  # validation losses are compared with each other
         return Losses(
-            total=prediction + composition + 4 * self.config.beta * divergence,
+            total=prediction + composition + 4 * beta * divergence,
             terms={
                 "prediction": prediction.detach(),
                 "composition": composition.detach(),

@@ -5,8 +5,9 @@ from __future__ import annotations
 import pytest
 import torch
 
-from baselines.clasp import Clasp
+from baselines.clasp import Clasp, ClaspConfig
 from baselines.gaussian import Gaussian
+from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import TripletBatch
 
 
@@ -45,6 +46,27 @@ def test_the_divergences_of_all_three_latent_actions_are_paid(build, video) -> N
     torch.testing.assert_close(losses.terms["divergence"], paid)
     errors = losses.terms["prediction"] + losses.terms["composition"]
     torch.testing.assert_close(losses.total, errors + 4 * 0.5 * paid)
+
+
+def test_the_divergences_cost_nothing_at_first_and_validation_pays_them_in_full(build, video) -> None:
+    model = build(Clasp, beta=0.5, warm_up=0.2)
+    paid = []
+    for share in (0.0, 0.1, 0.2, 0.9):
+        model.progress(share)
+        losses = model.train().losses(video)
+        spare = losses.total - losses.terms["prediction"] - losses.terms["composition"]
+        paid.append((spare / losses.terms["divergence"]).item())
+    assert paid == pytest.approx([0.0, 1.0, 2.0, 2.0], rel=1e-3, abs=1e-3)
+    model.progress(0.0)
+    losses = model.eval().losses(video)
+    errors = losses.terms["prediction"] + losses.terms["composition"]
+    torch.testing.assert_close(losses.total, errors + 4 * 0.5 * losses.terms["divergence"])
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_beta_grows_within_the_training(share: float) -> None:
+    with pytest.raises(InvalidSetting, match="warm_up must be 0 to 1"):
+        ClaspConfig(warm_up=share)
 
 
 def _packed(*frames: torch.Tensor) -> list[torch.Tensor]:

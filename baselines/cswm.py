@@ -85,9 +85,9 @@ class ContrastiveConfig:
 class SlotEncoder(nn.Module):
     """Encodes packed frames, one or two, into the states of K slots.
 
-    As the authors' for larger pictures: one convolution with a wide stride to small maps (10 x 10 there, 8 x 8 here),
-    their values between 0 and 1. The MLP's initial weights keep the scale, so that different frames get different
-    states from the start: the hinge's gradient vanishes where all states are one.
+    As the authors' for Atari games, but without batch normalisation: a convolution with a wide stride to small maps
+    (10 x 10 there, 8 x 8 here), their values between 0 and 1. The MLP's initial weights keep the scale, so that
+    different frames get different states from the start: the hinge's gradient vanishes where all states are one.
     """
 
     def __init__(self, config: ContrastiveConfig, inputs: ModelInputs) -> None:

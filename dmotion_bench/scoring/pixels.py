@@ -19,7 +19,7 @@ from torch import Tensor
 from dmotion_bench.errors import InvalidSetting
 
 PSNR_CAP = 100.0
-"""Of identical frames [dB]. Different frames stay below it up to 390 x 390 pixels (at 128 x 128: 95.05)."""
+"""Of identical frames [dB]. Different frames stay below it up to 226 x 226 pixels (at 128 x 128: 95.05)."""
 
 WINDOW, SIGMA = 11, 1.5
 C1, C2 = (0.01 * 255) ** 2, (0.03 * 255) ** 2

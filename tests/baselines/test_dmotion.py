@@ -214,6 +214,14 @@ def test_going_back_undoes_going_there() -> None:
     torch.testing.assert_close(model.motion(there, there), torch.zeros(3, 2))
 
 
+def test_no_motion_of_the_compact_networks_is_longer_than_their_page_says() -> None:
+    model = _model().eval()
+    with torch.no_grad():
+        model.motion_encoder.motion.weight.mul_(1e6)
+        longest = model.pixel_shift(model.motion(_images(3), _images(3, seed=1))).abs().max()
+    assert 0.25 * SMALL.width < longest <= 0.3 * SMALL.width
+
+
 def test_the_extractor_cannot_know_where_in_the_picture_it_looks() -> None:
     """Or phi^0 becomes a function of the agent's place, and one demonstration of an action says nothing of others."""
     model = _model(INPUTS).eval()

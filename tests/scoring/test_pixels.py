@@ -89,7 +89,8 @@ def test_psnr_of_one_grey_level_and_of_nothing() -> None:
     np.testing.assert_allclose(peak_signal_to_noise(mse).numpy(), [48.1308, PSNR_CAP, 0.0], atol=1e-4)
 
 
-def test_no_two_different_frames_reach_the_cap() -> None:
-    least = torch.tensor([1 / (128 * 128 * 3)], dtype=torch.float64)
+@pytest.mark.parametrize(("side", "reached"), [(128, False), (226, False), (227, True)])
+def test_frames_that_differ_in_one_number_reach_the_cap_from_a_size_on(side: int, reached: bool) -> None:
+    least = torch.tensor([1 / (side * side * 3)], dtype=torch.float64)
 
-    assert peak_signal_to_noise(least).item() < PSNR_CAP
+    assert (peak_signal_to_noise(least).item() == PSNR_CAP) == reached

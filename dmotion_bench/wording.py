@@ -37,7 +37,12 @@ def shown(value: object) -> str:
 
 def sentence(text: str) -> str:
     """A whole sentence that is safe to print: of bounded length, without control characters or lone surrogates."""
-    return _UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], shortened(text, SENTENCE_LIMIT))
+    return printable(shortened(text, SENTENCE_LIMIT))
+
+
+def printable(text: str) -> str:
+    """A text without what a terminal takes as an order, such as the names of other people's folders may hold."""
+    return _UNPRINTABLE.sub(lambda found: ascii(found[0])[1:-1], text)
 
 
 def rounded(value: float | None) -> str:

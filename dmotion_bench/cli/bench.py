@@ -11,7 +11,7 @@ import typer
 
 from dmotion_bench.api.settings import DEVICES
 from dmotion_bench.cli.options import AsJson, listed
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 
 if TYPE_CHECKING:
     from dmotion_bench.benchmarks.comparison import Change, Stored
@@ -80,11 +80,11 @@ def bench(
     elif results:
         from dmotion_bench.cli.tables import show_rows
 
-        typer.echo(", ".join(part for part in (processor(), f"{threads} threads", graphics(gpu)) if part))
+        say(", ".join(part for part in (processor(), f"{threads} threads", graphics(gpu)) if part))
         head = ("what", "speed", "unit", "of limit", "limit, or the fastest setting")
         show_rows(head, map(_row, results), right=frozenset({"speed", "of limit"}))
     for failure in failures:
-        typer.echo(f"{failure.name} could not be measured: {failure.said}", err=True)
+        say(f"{failure.name} could not be measured: {failure.said}", err=True)
     if stored is not None and not as_json:
         _show_changes(stored, changed, processor(), threads)
     if failures or any(one.verdict == "slower" for one in changed):
@@ -96,14 +96,14 @@ def _show_changes(stored: Stored, changed: Sequence[Change], processor: str, thr
     from dmotion_bench.cli.tables import show_rows
 
     if (stored.processor, stored.threads) != (processor, threads):
-        typer.echo(f"The stored run is of another machine: {stored.processor}, {stored.threads} threads.")
+        say(f"The stored run is of another machine: {stored.processor}, {stored.threads} threads.")
     if not changed:
-        typer.echo("The stored run has none of these speeds.")
+        say("The stored run has none of these speeds.")
         return
     head = ("what", "before", "now", "unit", "change", "verdict")
     show_rows(head, map(_change_row, changed), right=frozenset({"before", "now", "change"}))
     slower = [one.name for one in changed if one.verdict == "slower"]
-    typer.echo(f"Slower: {', '.join(slower)}." if slower else "Nothing became slower.")
+    say(f"Slower: {', '.join(slower)}." if slower else "Nothing became slower.")
 
 
 def _change_row(change: Change) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ import typer
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.cli import data_export, data_import
 from dmotion_bench.cli.options import AsJson
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.wording import command
 
@@ -50,7 +50,7 @@ def info(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
         print_json(summary)
         return
     for name, text in _lines(summary):
-        typer.echo(f"{name:12s} {_printable(text)}")
+        say(f"{name:12s} {_printable(text)}")
 
 
 def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
@@ -147,12 +147,12 @@ def check(dataset: DatasetFolder = None, as_json: AsJson = False) -> None:
         print_json(whole | {"episodes": recipe.episodes, "frames": frames})
     else:
         for damage in report.damages:
-            typer.echo(f"{damage.file} {damage.what}")
+            say(f"{damage.file} {damage.what}")
     if report.damages:
         way_out = f"mend it with {command('dmbench data repair', folder)}" if address is None else "put it there again"
         raise DatasetCorrupt(f"{where!r} is damaged in {len(report.damages)} places; {way_out}.")
     if not as_json:
-        typer.echo(f"{where} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")
+        say(f"{where} is sound: {recipe.episodes} episodes, {frames} frames, labels {report.labels}.")
 
 
 @group.command()
@@ -174,17 +174,17 @@ def repair(
         result = {"dataset": str(folder), "how": done.how, "shards": list(done.shards), "episodes_lost": lost}
         print_json(result | {"original": str(done.salvaged.original) if done.salvaged else None})
     elif done.salvaged:
-        typer.echo(
+        say(
             f"{folder} could not be recorded anew; {len(done.salvaged.kept)} episodes were kept and {len(lost)} are "
             f"lost. The damaged original is {done.salvaged.original}: delete it when you do not need it."
         )
     elif done.how == "restored":
         anew = f"{len(done.shards)} shards were recorded anew, " if done.shards else "its tables were made anew, "
-        typer.echo(f"{folder} is restored: {anew}byte for byte as they were.")
+        say(f"{folder} is restored: {anew}byte for byte as they were.")
     elif done.how == "cache":
-        typer.echo(f"{folder} is sound; its damaged cache was deleted and is made anew when it is needed.")
+        say(f"{folder} is sound; its damaged cache was deleted and is made anew when it is needed.")
     else:
-        typer.echo(f"{folder} is sound; nothing was changed.")
+        say(f"{folder} is sound; nothing was changed.")
 
 
 def _progress(what: str) -> Any:

@@ -10,7 +10,7 @@ import typer
 
 from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.options import AsJson
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.errors import Interrupted
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def data_export(
     if as_json:
         print_json(dataclasses.asdict(report) | {"path": str(report.path), "lossless": not report.mse})
     else:
-        typer.echo(_summary(report))
+        say(_summary(report))
 
 
 def _summary(report: ExportReport) -> str:

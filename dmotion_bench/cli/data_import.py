@@ -10,7 +10,7 @@ import typer
 
 from dmotion_bench.cli.jobs import executor_option, workers_option
 from dmotion_bench.cli.options import AsJson
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.errors import Interrupted
 from dmotion_bench.wording import command, sentence
 from dmotion_bench.workspace import Workspace
@@ -178,7 +178,7 @@ def data_import(
     if as_json:
         print_json(_as_json(report))
     else:
-        typer.echo(_summary(report, size, hz, fit))
+        say(_summary(report, size, hz, fit))
 
 
 def _as_json(report: ImportReport) -> dict[str, Any]:

@@ -32,14 +32,12 @@ def demo(
         def say(line: str) -> None:
             bar.end()
             if not as_json:
-                typer.echo(line)
+                say(line)
 
         done = demonstrate(out, seed=seed, workers=None, say=say, note=note, progress=bar)
     if as_json:
         print_json(done.to_json())
         return
     show_report(done.report, done.run)
-    typer.echo(
-        f"Done in {duration(done.seconds)}. See the model's imagination with {command('rerun', done.recording)},"
-    )
-    typer.echo(f"or in a browser with {command('dmbench view', done.run, '--web')}.")
+    say(f"Done in {duration(done.seconds)}. See the model's imagination with {command('rerun', done.recording)},")
+    say(f"or in a browser with {command('dmbench view', done.run, '--web')}.")

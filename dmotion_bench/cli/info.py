@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 from dmotion_bench.cli.options import AsJson
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 
 
 def register(app: typer.Typer) -> None:
@@ -51,4 +51,4 @@ def info(as_json: AsJson = False) -> None:
             value = ", ".join(f"{name} {what}" for name, what in value.items())
         elif isinstance(value, list):
             value = ", ".join(value) or "none"
-        typer.echo(f"{key:13s} {value}")
+        say(f"{key:13s} {value}")

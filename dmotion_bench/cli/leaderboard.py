@@ -16,7 +16,7 @@ from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import executor_option, workers_option
 from dmotion_bench.cli.options import AsJson, listed
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 
 if TYPE_CHECKING:
     from dmotion_bench.execution.job_progress import JobProgress
@@ -55,14 +55,14 @@ def build(
         print_json(built.to_json())
         return
     for name, why in built.left_out.items():
-        typer.echo(f"left out {name}: {why}", err=True)
+        say(f"left out {name}: {why}", err=True)
     for name in built.doubtful:
-        typer.echo(
+        say(
             f"left in place: {name} has the name of one of these runs and other weights. Delete it if it is of an "
             "earlier training of yours.",
             err=True,
         )
-    typer.echo(f"{built.page}: {built.measured} measured and {built.published} published results")
+    say(f"{built.page}: {built.measured} measured and {built.published} published results")
 
 
 @group.command()
@@ -138,7 +138,7 @@ def check(
                 place=place,
                 progress=show,
                 watch=bar.watch,
-                warn=lambda told: typer.echo(told, err=True),
+                warn=lambda told: say(told, err=True),
             )
         except KeyboardInterrupt:
             if many == 1 and executor in (None, "local"):
@@ -189,7 +189,7 @@ def compare(
     one, other = (Workspace.current().trainings(run) for run in (first, second))
     chosen: SplitName = "validation" if split == "validation" else "test"
     differences = leaderboard_compare(
-        one, other, data=data, split=chosen, warn=lambda told: typer.echo(f"left out: {told}", err=True)
+        one, other, data=data, split=chosen, warn=lambda told: say(f"left out: {told}", err=True)
     )
     if as_json:
         named = {"first": _plain_runs(one), "second": _plain_runs(other)}
@@ -225,7 +225,7 @@ def results(
         differing = ", ".join(map(str, changed))
         raise DmbenchError(f"results differ from the entries in {differing}; run the same command without --check.")
     for page in pages:
-        typer.echo(f"{page}: {'written' if page in changed else 'as it was'}")
+        say(f"{page}: {'written' if page in changed else 'as it was'}")
 
 
 @group.command()
@@ -245,7 +245,7 @@ def serve(
     from dmotion_bench.cli.progress import note
 
     with _part("serve")(folder or built_page(), port) as server:
-        typer.echo(server.url)
+        say(server.url)
         note(
             "Open it in a browser on this machine, or on another one after running there "
             f"'ssh -L {server.port}:127.0.0.1:{server.port} HOST'."
@@ -266,11 +266,11 @@ def _part(name: str) -> Any:
 def _show_verdict(verdict: Any) -> None:
     held = f"{verdict.figures} figures, {verdict.samples} samples" if verdict.samples else f"{verdict.figures} figures"
     word = "DOES NOT HOLD" if verdict.findings else "not checked" if verdict.missing else "holds"
-    typer.echo(f"{word:13}  {verdict.entry} ({held})")
+    say(f"{word:13}  {verdict.entry} ({held})")
     for finding in (*verdict.findings, *verdict.missing):
-        typer.echo(f"    {finding}")
+        say(f"    {finding}")
     for remark in verdict.remarks:
-        typer.echo(f"    ({remark})")
+        say(f"    ({remark})")
 
 
 def _name_of(runs: Sequence[Path]) -> str:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from dmotion_bench.cli.options import AsJson
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 
 if TYPE_CHECKING:
     from dmotion_bench.environment import RecordingPreset
@@ -27,7 +27,7 @@ def _show(key: str, rows: list[dict[str, object]], as_json: bool, nothing: str) 
         print_json({key: rows})
         return
     if not rows:
-        typer.echo(nothing)
+        say(nothing)
         return
     from dmotion_bench.cli.tables import show_rows
 
@@ -59,8 +59,8 @@ def environments(as_json: AsJson = False) -> None:
         rows = [{"factors" if key == "--vary" else key: value for key, value in row.items()} for row in rows]
     _show("environments", rows, as_json, "none is installed.")
     if not as_json and rows:
-        typer.echo("gym:ID records any Gymnasium environment that draws pictures; those above are known to work.")
-        typer.echo("'dmbench list environments --json' tells what each factor means and which values it takes.")
+        say("gym:ID records any Gymnasium environment that draws pictures; those above are known to work.")
+        say("'dmbench list environments --json' tells what each factor means and which values it takes.")
 
 
 def _environment(name: str, as_json: bool) -> dict[str, object]:

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from dmotion_bench.cli.stdout import say
+
 if TYPE_CHECKING:
     import rerun as rr
     import rerun.blueprint as rrb
@@ -107,7 +109,7 @@ def live_recording(
 
     with open_live(web=web) as viewer:
         if viewer.page is not None:
-            typer.echo(viewer.page, err=True)
+            say(viewer.page, err=True)
             forward = " ".join(f"-L {port}:127.0.0.1:{port}" for port in viewer.ports)
             note(f"Open it in a browser on this machine, or on another one after running there 'ssh {forward} HOST'.")
         with recording_to(title, blueprint, address=viewer.address, file=save) as recording:

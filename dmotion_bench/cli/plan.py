@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dmotion_bench.cli.options import ObjectiveName, ObjectiveSettings, PlanColumnName, PlannerName, PlannerSettings
-from dmotion_bench.cli.stdout import print_json, reserve_stdout
+from dmotion_bench.cli.stdout import print_json, reserve_stdout, say
 from dmotion_bench.wording import command, counted, shown
 
 if TYPE_CHECKING:
@@ -84,16 +84,16 @@ def plan(
 
 def _show(planned: Planned, save: Path | None) -> None:
     distance = planned.distance
-    typer.echo(f"{planned.run}, task {planned.task} of {planned.dataset}")
+    say(f"{planned.run}, task {planned.task} of {planned.dataset}")
     readings = ", ".join(f"{distance[at]:.3f} after {at}" for at in (10, 20, 40, 60, 80) if at < len(distance) - 1)
-    typer.echo(f"  distance 1.000 at the start, {readings + ', ' if readings else ''}", nl=False)
-    typer.echo(f"{distance[-1]:.3f} after {counted(planned.steps, 'step')}")
+    say(f"  distance 1.000 at the start, {readings + ', ' if readings else ''}", nl=False)
+    say(f"{distance[-1]:.3f} after {counted(planned.steps, 'step')}")
     if planned.lost:
-        typer.echo(f"  {counted(planned.lost, 'object')} lost, each adding 1")
+        say(f"  {counted(planned.lost, 'object')} lost, each adding 1")
     if planned.frames:
         each = planned.frames / planned.steps
-        typer.echo(f"  {each:.0f} frames predicted a step, {planned.planning_seconds:.1f} s of planning in all")
+        say(f"  {each:.0f} frames predicted a step, {planned.planning_seconds:.1f} s of planning in all")
     if save is not None and save.suffix == ".rrd":
-        typer.echo(f"Watch it with {command('dmbench view', save)}.")
+        say(f"Watch it with {command('dmbench view', save)}.")
     elif save is not None:
-        typer.echo(f"The filmstrip is {shown(str(save))}.")
+        say(f"The filmstrip is {shown(str(save))}.")

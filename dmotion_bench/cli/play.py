@@ -14,6 +14,8 @@ from jaxtyping import Float
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.cli.arrows import Arrows, arrows_of, by_number
+from dmotion_bench.cli.stdout import say
+from dmotion_bench.wording import printable
 
 if TYPE_CHECKING:
     from dmotion_bench.actions import ActionSpec, ActionTaken
@@ -89,7 +91,7 @@ def play(
     ):
         taken = list[str]()
         driven.begin(shown.recording)
-        typer.echo(legend(known), err=True)
+        say(legend(known), err=True)
         with single_keys(terminal):
             for move, action in taken_actions(commands(read_keys(terminal), known), actions, first):
                 if shown.closed():
@@ -100,7 +102,7 @@ def play(
                 else:
                     taken.append(move.name)
                 _tell(taken)
-    typer.echo("", err=True)
+    say("", err=True)
 
 
 def moves(actions: ActionSpec, arrows: Arrows | None = None) -> list[Move]:
@@ -197,4 +199,4 @@ def legend(known: Sequence[Move]) -> str:
 
 def _tell(taken: Sequence[str]) -> None:
     last = " ".join(taken[-8:]) or "at the start"
-    typer.echo(f"\r\x1b[K{len(taken)}: {last}", nl=False, err=True)
+    typer.echo(f"\r\x1b[K{len(taken)}: {printable(last)}", nl=False, err=True)

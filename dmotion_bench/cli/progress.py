@@ -24,6 +24,8 @@ from rich.progress import (
 from rich.table import Column
 from rich.text import Text
 
+from dmotion_bench.wording import printable
+
 if TYPE_CHECKING:
     from dmotion_bench.execution.job_progress import JobProgress
 
@@ -47,7 +49,7 @@ class _Words(ProgressColumn):
         super().__init__()
 
     def render(self, task: Task) -> Text:
-        return Text(self._words(task), no_wrap=True, overflow="ellipsis")
+        return Text(printable(self._words(task)), no_wrap=True, overflow="ellipsis")
 
 
 def bar_columns(width: int) -> list[ProgressColumn]:
@@ -153,7 +155,7 @@ class ProgressDisplay:
             self._began.setdefault(task, (now, completed))
         if now >= self._due:
             self._due = now + SECONDS
-            sys.stderr.write(self._line(task, now) + "\n")
+            sys.stderr.write(printable(self._line(task, now)) + "\n")
             sys.stderr.flush()
 
     def _restart(self, task: TaskID) -> None:
@@ -237,6 +239,7 @@ class BarOnDemand:
 
 def note(text: str) -> None:
     """Print a line on stderr."""
+    text = printable(text)
     if sys.stderr.isatty():
         Console(stderr=True).print(text, highlight=False, markup=False)
     elif not os.environ.get(QUIET):

@@ -10,7 +10,7 @@ import typer
 from dmotion_bench.api.settings import EXECUTORS, LARGEST_SEED, as_preset
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import AsJson, listed
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.specs import Preset
 from dmotion_bench.wording import command, sentence
 
@@ -173,27 +173,27 @@ def _tell(recorded: Recorded, tasks_asked: int, as_json: bool) -> None:
             | ({"advice": advice} if advice else {})
         )
         return
-    typer.echo(f"{recorded.dataset}")
-    typer.echo(
+    say(f"{recorded.dataset}")
+    say(
         f"  {recorded.episodes} episodes, {recorded.frames} frames, {recorded.bytes_per_frame:.0f} bytes a frame "
         f"with labels, {recorded.bytes / 2**20:.1f} MiB"
     )
     if replay is not None and replay.identical:
-        typer.echo(f"  recorded again, {len(replay.episodes)} episodes have the same bytes")
+        say(f"  recorded again, {len(replay.episodes)} episodes have the same bytes")
     if replay is not None and not replay.identical:
-        typer.echo(
+        say(
             f"  the environment does not repeat: {replay.differs} differs when it is recorded again. So this data set "
             "cannot be recorded again byte for byte, and it has no control tasks."
         )
     elif tasks_asked:
         fewer = f" of the {tasks_asked} asked for; for more, record more or longer episodes"
-        typer.echo(f"  {tasks} control tasks{fewer if tasks < tasks_asked else ''}")
+        say(f"  {tasks} control tasks{fewer if tasks < tasks_asked else ''}")
     if recorded.made.frames:
-        typer.echo(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
+        say(f"  {recorded.made.frames} frames recorded at {recorded.made.frames_per_s:.0f} frames/s")
     else:
-        typer.echo("  the data set was complete already; a larger --episodes extends it")
+        say("  the data set was complete already; a larger --episodes extends it")
     for told in advice:
-        typer.echo(f"  {sentence(told)}")
+        say(f"  {sentence(told)}")
     name = Workspace.current().short(recorded.dataset)
     train = f", train on it with {command('dmbench train dmotion --data', name)}" if has_triplets(dataset) else ""
-    typer.echo(f"Look at it with {command('dmbench view', name)}{train}.")
+    say(f"Look at it with {command('dmbench view', name)}{train}.")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.cli.tables import show_figures, stdout_console
 from dmotion_bench.figure_words import figure_words
-from dmotion_bench.wording import rounded
+from dmotion_bench.wording import printable, rounded
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
@@ -63,17 +63,19 @@ def show_report(report: Report, run: Path) -> None:
         "split",
     ):
         if name in report.remarks:
-            console.print(f"  {_plain(name)}: {report.remarks[name]}")
+            console.print(printable(f"  {_plain(name)}: {report.remarks[name]}"))
     if others := [f"{name} {version}" for name, version in report.versions.items() if name.endswith(")")]:
-        console.print(f"  scored earlier, with other versions: {', '.join(others)}")
-    console.print(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
+        console.print(printable(f"  scored earlier, with other versions: {', '.join(others)}"))
+    console.print(
+        printable(f"  labels used: {report.labels['total']}; all figures and samples in {run / report.place}/")
+    )
 
 
 def _say_why_no_interval(figures: Iterable[FigureJson]) -> None:
     from dmotion_bench.api.scoring import why_no_interval
 
     if (why := why_no_interval(figures)) is not None:
-        stdout_console().print(f"  95% interval: {why}")
+        stdout_console().print(printable(f"  95% interval: {why}"))
 
 
 def _plain(name: str) -> str:

@@ -12,7 +12,7 @@ import typer
 from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.options import TABLES, AsJson, Device, listed, names, numbers
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.specs import Preset
 
 if TYPE_CHECKING:
@@ -149,10 +149,10 @@ def _show_cost(cost: Cost, plan: Plan) -> None:
 
     table = plan.table
     if not any(line.jobs for line in cost.lines):
-        typer.echo(f"Nothing is left to do of the table {plan.name!r}.")
+        say(f"Nothing is left to do of the table {plan.name!r}.")
         return
     seeds = ", ".join(map(str, table.seeds))
-    typer.echo(f"Left of the table {plan.name!r}, {table.title}; preset {table.preset.value}, seeds {seeds}:")
+    say(f"Left of the table {plan.name!r}, {table.title}; preset {table.preset.value}, seeds {seeds}:")
     gpu = any(line.gpu_hours for line in cost.lines)
     head = ("what", "of", "jobs", "amount", "core-hours", *(("GPU-hours",) if gpu else ()))
     rows = [_row(line, gpu) for line in cost.lines if line.jobs]
@@ -161,9 +161,9 @@ def _show_cost(cost: Cost, plan: Plan) -> None:
         head, [*rows, (*total, *((_hours(cost.gpu_hours),) if gpu else ()))], right=frozenset(head[2:3] + head[4:])
     )
     for assumed in cost.assumptions:
-        typer.echo(f"- {assumed}")
+        say(f"- {assumed}")
     for said in cost.unknown:
-        typer.echo(f"- Not in the sum: {said}")
+        say(f"- Not in the sum: {said}")
 
 
 def _row(line: Line, gpu: bool) -> tuple[str, ...]:
@@ -185,9 +185,9 @@ def _tell(made: Reproduced, as_json: bool) -> None:
     if as_json:
         print_json(made.to_json())
     else:
-        typer.echo(f"{len(made.runs)} runs")
+        say(f"{len(made.runs)} runs")
         for page in made.pages:
-            typer.echo(f"{page}")
+            say(f"{page}")
     if made.failures:
         told = "\n".join(f"  {what}: {why}" for what, why in made.failures.items())
         raise RunError(f"{len(made.failures)} parts failed; run the same command to try them again.\n{told}")

@@ -22,7 +22,7 @@ from dmotion_bench.cli.options import (
     PlannerSettings,
     listed,
 )
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
@@ -183,7 +183,7 @@ def _scored(
     from dmotion_bench.cli.progress import BarOnDemand, note
 
     how: dict[str, Any] = {"batch_size": batch_size, "data": data, "note": note}
-    how |= {"warn": lambda told: typer.echo(told, err=True)}
+    how |= {"warn": lambda told: say(told, err=True)}
 
     with BarOnDemand() as bar, jobs_bar("scoring") as (count, watch):
         hands = Hands(executor=executor, workers=workers, device=device, count=count, watch=watch)

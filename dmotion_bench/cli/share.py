@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from dmotion_bench.cli.options import AsJson
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def push(
         _show_pushed(one, labels)
     hashes = dict.fromkeys(one.fingerprint[:16] for one in pushed)
     pull = command("dmbench share pull", *hashes, "--from", place)
-    typer.echo(f"Others fetch {'them' if len(pushed) > 1 else 'it'} with {pull}, or by the entry in place of hashes.")
+    say(f"Others fetch {'them' if len(pushed) > 1 else 'it'} with {pull}, or by the entry in place of hashes.")
 
 
 @group.command()
@@ -94,7 +94,7 @@ def pull(
         return
     for one in pulled:
         _show_pulled(one, labels)
-    typer.echo(_next(what, pulled, place))
+    say(_next(what, pulled, place))
 
 
 @group.command("list")
@@ -110,10 +110,10 @@ def list_(
         return
     if not found:
         push_there = command("dmbench share push RUN --to", place)
-        typer.echo(f"Nothing is published in {place}; publish with {push_there}.")
+        say(f"Nothing is published in {place}; publish with {push_there}.")
         return
     for one in found:
-        typer.echo(f"{one.kind:8}  {one.fingerprint[:16]}  {one.name or '?'}  ({_facts(one)})")
+        say(f"{one.kind:8}  {one.fingerprint[:16]}  {one.name or '?'}  ({_facts(one)})")
 
 
 def _facts(one: Shared) -> str:
@@ -127,18 +127,18 @@ def _facts(one: Shared) -> str:
 
 def _show_pushed(one: Pushed, labels: bool) -> None:
     sent = f"{one.sent} of {one.files} files sent, {_size(one.bytes)}" if one.sent else "was there already"
-    typer.echo(f"{one.kind} {one.name}: {sent}\n  {one.address}")
+    say(f"{one.kind} {one.name}: {sent}\n  {one.address}")
     if one.kind == "data set" and labels and not one.labels:
-        typer.echo("  without labels, which are not here: entries cannot be checked with it")
+        say("  without labels, which are not here: entries cannot be checked with it")
     if one.kind == "run" and not one.scored:
-        typer.echo("  without a report: score it with 'dmbench score' and publish it again to have it checked")
+        say("  without a report: score it with 'dmbench score' and publish it again to have it checked")
 
 
 def _show_pulled(one: Pulled, labels: bool) -> None:
     fetched = f"{one.fetched} of {one.files} files fetched, {_size(one.bytes)}" if one.fetched else "was here already"
-    typer.echo(f"{one.kind} {one.name}: {fetched}, every hash is right\n  {one.path}")
+    say(f"{one.kind} {one.name}: {fetched}, every hash is right\n  {one.path}")
     if one.kind == "data set" and labels and not one.labels:
-        typer.echo("  without labels, which are not there: entries cannot be checked with it")
+        say("  without labels, which are not there: entries cannot be checked with it")
 
 
 def _next(what: list[str], pulled: list[Pulled], place: str) -> str:

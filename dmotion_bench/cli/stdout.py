@@ -1,4 +1,6 @@
-"""``--json`` prints one object alone: what environments, models and libraries print meanwhile goes to stderr."""
+"""What commands print on stdout.
+
+``--json`` prints one object alone: what environments, models and libraries print meanwhile goes to stderr."""
 
 from __future__ import annotations
 
@@ -12,6 +14,8 @@ from dataclasses import dataclass
 from typing import Any, Final, TextIO
 
 import typer
+
+from dmotion_bench.wording import printable
 
 _STDOUT: Final = 1
 _STDERR: Final = 2
@@ -37,6 +41,17 @@ def reserve_stdout(context: typer.Context, as_json: bool) -> bool:
     if as_json and not context.resilient_parsing:
         context.with_resource(_reserving())
     return as_json
+
+
+def say(text: object = "", *, err: bool = False, nl: bool = True) -> None:
+    """Print a text, without what a terminal takes as an order: names in it may come from anybody.
+
+    Args:
+        text: It.
+        err: Whether on stderr.
+        nl: Whether the line ends after it.
+    """
+    typer.echo(printable(str(text)), err=err, nl=nl)
 
 
 def print_json(value: Any) -> None:

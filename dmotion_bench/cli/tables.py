@@ -14,6 +14,8 @@ from rich.measure import Measurement
 from rich.table import Table
 from rich.text import Text
 
+from dmotion_bench.wording import printable
+
 ENDLESS = 10_000
 """Columns of what has no edge."""
 _BETWEEN, _EDGES = 3, 2
@@ -31,6 +33,10 @@ def stdout_console() -> Console:
     if not (console.is_terminal or os.environ.get("COLUMNS", "").isdigit()):
         console.width = ENDLESS
     return console
+
+
+def _printable(row: Iterable[str]) -> list[str]:
+    return [printable(cell) for cell in row]
 
 
 def _print(console: Console, table: Table) -> None:
@@ -61,13 +67,14 @@ def show_figures(title: str, headings: Sequence[str], rows: Sequence[Sequence[st
         below: So many of the last rows are set apart.
     """
     console = stdout_console()
+    headings, rows = _printable(headings), [_printable(row) for row in rows]
     first = 1
     while first < len(headings):
         last = len(headings)
         while last > first + 1 and not _fits(console, _figures(console, headings, rows, range(first, last), below)):
             last -= 1
         table = _figures(console, headings, rows, range(first, last), below)
-        table.title = title if first == 1 else None
+        table.title = printable(title) if first == 1 else None
         _print(console, table)
         first = last
 
@@ -106,7 +113,7 @@ def show_rows(headings: Iterable[str], rows: Iterable[Iterable[str]], *, right: 
         rows: A text for each column.
         right: Headings whose columns are set to the right.
     """
-    console, names, cells = stdout_console(), list(headings), [list(row) for row in rows]
+    console, names, cells = stdout_console(), _printable(headings), [_printable(row) for row in rows]
     columns = [[name, *column] for name, column in zip(names, zip(*cells, strict=True), strict=True)]
     widths = _widths(columns, console.width - _EDGES - _BETWEEN * (len(names) - 1))
     if widths is None:

@@ -16,7 +16,7 @@ from dmotion_bench.cli.cache import CacheFolder, use_cache
 from dmotion_bench.cli.jobs import executor_option, require_all, workers_option
 from dmotion_bench.cli.live import Live, LiveTo, following
 from dmotion_bench.cli.options import AsJson, Device, listed, numbers
-from dmotion_bench.cli.stdout import own_stdout, print_json
+from dmotion_bench.cli.stdout import own_stdout, print_json, say
 from dmotion_bench.execution.processes import LED, end_with, is_led, lead, place
 from dmotion_bench.specs import MOST_PROCESSES, MOST_THREADS, Preset
 from dmotion_bench.wording import command
@@ -269,31 +269,31 @@ def _tell(run: Run, dataset: Dataset, result: dict[str, Any], as_json: bool) -> 
     if as_json:
         print_json(summary)
         return
-    typer.echo(f"{run.path}")
-    typer.echo(
+    say(f"{run.path}")
+    say(
         f"  {result['steps']} steps, {result['triplets']} triplets in {duration(result['seconds'])} "
         f"({result['triplets_per_s']:.0f} triplets/s), {result['parameters'] / 1e6:.2f} M parameters"
     )
     for phase, step in result.get("ended", {}).items():
-        typer.echo(f"  {phase}: ended early, after step {step}, with no lower validation loss for a while (patience)")
-    typer.echo(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
+        say(f"  {phase}: ended early, after step {step}, with no lower validation loss for a while (patience)")
+    say(f"  best validation loss {result['validation_loss']:.5f} at step {result['best_step']}")
     known = (
         f" of {_transitions(dataset)} transitions in the data set"
         if dataset.spec.actions is not None
         else ", there are none"
     )
-    typer.echo(f"  labels used: {result['labels_total']}{known}")
+    say(f"  labels used: {result['labels_total']}{known}")
     if run.conditions is not None:
-        typer.echo(f"  computed in {_conditions(run.conditions)}")
+        say(f"  computed in {_conditions(run.conditions)}")
     if run.spec.labels == "none" and dataset.spec.actions is not None:
         from dmotion_bench.api.training import first_labels
 
-        typer.echo(
+        say(
             "The model does not know yet which action is which. "
             f"The same command with '--labels {first_labels(dataset)}' tells it, without training again."
         )
     else:
-        typer.echo(f"Score it with {command('dmbench score', Workspace.current().short(run.path))}.")
+        say(f"Score it with {command('dmbench score', Workspace.current().short(run.path))}.")
 
 
 def _conditions(conditions: Conditions) -> str:
@@ -325,7 +325,7 @@ def train_run(
             trackers,
             loaders=loaders,
             note=note,
-            warn=lambda told: typer.echo(told, err=True),
+            warn=lambda told: say(told, err=True),
         )
 
 

@@ -7,9 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 
 if TYPE_CHECKING:
     from dmotion_bench.api.side_by_side import Hands
@@ -62,7 +60,7 @@ def train_many(
             replace(hands, count=count, watch=watch),
             lambda run: train(run, dataset),
             trackers,
-            warn=lambda told: typer.echo(told, err=True),
+            warn=lambda told: say(told, err=True),
             loaders=loaders,
         )
         told = {outcome.row: _told(outcome, as_json) for outcome in outcomes}
@@ -77,7 +75,7 @@ def train_many(
         when = "" if failed else " later"
         raise RunError(f"{'; '.join(said)}; run the same command{when} to try them again.")
     if not as_json:
-        typer.echo("Score them with 'dmbench score --all'.")
+        say("Score them with 'dmbench score --all'.")
 
 
 def _told(outcome: Outcome, as_json: bool) -> dict[str, Any]:
@@ -97,7 +95,7 @@ def _told(outcome: Outcome, as_json: bool) -> dict[str, Any]:
             note(f"{_name(row)} {row['budget']}: {outcome.error}")
     else:
         done = outcome.error or f"{duration(row['seconds'])}, {row['labels']} labels, {row['run']}"
-        typer.echo(f"{_name(row):16s} {row['budget']:9s} {done}")
+        say(f"{_name(row):16s} {row['budget']:9s} {done}")
     return row
 
 

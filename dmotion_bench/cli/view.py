@@ -11,6 +11,7 @@ import typer
 
 from dmotion_bench.api.settings import SPLITS, require_one_of
 from dmotion_bench.cli.options import listed
+from dmotion_bench.cli.stdout import say
 from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
@@ -96,14 +97,14 @@ def view(
 
     if animated and save is not None:
         viewing.write_animation_of(targets, save, episode or [], part, other, steps, workspace)
-        typer.echo(f"{save}")
+        say(f"{save}")
         return
     with tempfile.TemporaryDirectory(prefix="dmbench-view-") as folder:
         file = save or Path(folder) / "scene.rrd"
         viewing.write_scene_of(targets, file, episode or [], part, other, workspace)
         if save is not None:
-            typer.echo(f"{save}")
-            typer.echo(f"Open it with {command('dmbench view', save)} or {command('rerun', save)}.")
+            say(f"{save}")
+            say(f"Open it with {command('dmbench view', save)} or {command('rerun', save)}.")
         if save is None or web:
             _show(file, web)
 
@@ -141,7 +142,7 @@ def _show(file: Path, web: bool) -> None:
         if page is None:
             return
         with page:
-            typer.echo(page.url)
+            say(page.url)
             forward = " ".join(f"-L {port}:127.0.0.1:{port}" for port in page.ports)
             note(
                 f"Open it in a browser on this machine, or on another one after running there "

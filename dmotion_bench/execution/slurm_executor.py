@@ -176,7 +176,8 @@ class SlurmExecutor:
 
 def cancel_left(folder: Path) -> None:
     """Cancel the jobs of Slurm whose files a command has left in its folder because it was killed."""
-    arrays = sorted({file.name.split("_")[0] for file in folder.glob("*_submission.sh")})
+    named = {file.name.split("_")[0] for file in folder.glob("*_submission.sh")}
+    arrays = sorted(name for name in named if name.isdecimal())  # and no option of scancel
     if arrays and shutil.which("scancel"):
         subprocess.run(["scancel", f"--name={_NAME}", *arrays], check=False, capture_output=True)
 

@@ -25,6 +25,7 @@ from dmotion_bench.scoring.report import SCORING_VERSION
 from dmotion_bench.scoring.samples import read_samples, write_samples
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
+from dmotion_bench.storage.shard import file_facts
 
 FORMAT: Final = 1
 _LATEST: Final = 4  # trainings whose latent actions are remembered, of some 20 MB at the paper's scale
@@ -87,8 +88,7 @@ def _keep(folder: Path, name: str, key: Mapping[str, Any], samples: pa.Table) ->
     about, table = _files(folder, name)
     folder.mkdir(parents=True, exist_ok=True)
     write_samples(table, samples)
-    digest = hashlib.sha256(table.read_bytes()).hexdigest()
-    content = {"format": FORMAT, "key": key, "rows": len(samples), "sha256": digest}
+    content = {"format": FORMAT, "key": key, "rows": len(samples), "sha256": file_facts(table).sha256}
     write_atomically(about, json.dumps(content).encode())
 
 
@@ -98,7 +98,7 @@ def _kept(folder: Path, name: str, key: Mapping[str, Any]) -> pa.Table | None:
     try:
         content = read_json(about)
         same = content["format"] == FORMAT and content["key"] == json.loads(json.dumps(key))
-        if not same or content["sha256"] != hashlib.sha256(table.read_bytes()).hexdigest():
+        if not same or not table.is_file() or content["sha256"] != file_facts(table).sha256:  # a pipe is no file
             return None
         return read_samples(table, content["rows"])
     except (OSError, JsonUnreadable, RunCorrupt, KeyError, TypeError, ValueError):

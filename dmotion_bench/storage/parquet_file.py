@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import struct
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -73,8 +74,11 @@ def read_parquet(
 
 def _check_tail(path: Path) -> None:
     """See that the footer is not larger than a footer of ours: to be parsed it takes many times its size."""
+    about = path.stat()
+    if not stat.S_ISREG(about.st_mode):  # a pipe would be waited for
+        raise DamagedFile("is no ordinary file")
     with path.open("rb") as file:
-        file.seek(-min(_TAIL.size, path.stat().st_size), os.SEEK_END)
+        file.seek(-min(_TAIL.size, about.st_size), os.SEEK_END)
         tail = file.read()
     size, end = _TAIL.unpack(tail) if len(tail) == _TAIL.size else (0, b"")
     if end != b"PAR1" or size > _LARGEST_FOOTER:

@@ -13,7 +13,7 @@ import rerun.blueprint as rrb
 from jaxtyping import UInt8
 
 from dmotion_bench.learning.training.metrics_log import read_rows
-from dmotion_bench.learning.training.samples import read_sample
+from dmotion_bench.learning.training.samples import MOST_PIXELS, no_sample, read_sample
 from dmotion_bench.viewing.chart import HEIGHT, WIDTH, Curve, log_chart
 from dmotion_bench.viewing.labels import ACTION_COLORS
 from dmotion_bench.viewing.scene import Tab, picture_view
@@ -45,17 +45,27 @@ def read_curves(metrics: Path) -> dict[str, Curve]:
     }
 
 
-def training_tab(curves: Mapping[str, Curve], text: str, samples: Mapping[int, Path] | None = None) -> Tab:
+def training_tab(
+    curves: Mapping[str, Curve], text: str, samples: Mapping[int, Path] | None = None, most: int = MOST_PIXELS
+) -> Tab:
     """The page of a training.
 
     Args:
         curves: As ``read_curves`` gives them.
         text: What is to be said beside them, in Markdown.
         samples: As ``samples_of`` gives them.
+        most: Pixels that each may have.
+
+    Raises:
+        RunCorrupt: One is damaged, larger, or not as large as the others.
     """
     chart: rrb.Container | rrb.View = picture_view(f"{ROOT}/chart", "Losses (logarithmic)", round(WIDTH), round(HEIGHT))
     shown = _spread(samples or {})
-    sheets = [read_sample(path) for path in shown.values()]
+    sheets = list[UInt8[np.ndarray, "h w 3"]]()
+    for path in shown.values():
+        sheets.append(read_sample(path, most))
+        if sheets[-1].shape != sheets[0].shape:
+            raise no_sample(path, "it is not as large as the others")
     if sheets:
         height, width = sheets[0].shape[0] + CAPTION, len(sheets) * (sheets[0].shape[1] + SPACE)
         strip = picture_view(f"{ROOT}/samples", "Predictions through the training", width, height)

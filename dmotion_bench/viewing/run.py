@@ -12,7 +12,7 @@ import rerun.blueprint as rrb
 from jaxtyping import Float, UInt8
 
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.training.samples import samples_of
+from dmotion_bench.learning.training.samples import largest_sample, samples_of
 from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import EpisodeLabels
 from dmotion_bench.storage.readable import ReadableDataset
@@ -67,7 +67,8 @@ def run_scene(
     notes = why or {}
     tabs = [_tab(run, dataset, episode, notes.get(episode, "")) for episode in episodes]
     figures = report_tab(run.path, report or report_folder(run.path, run.spec.fingerprint, dataset))
-    training = training_tab(read_curves(run.metrics), _of_training(run), samples_of(run.path))
+    most = largest_sample(run.spec.height, run.spec.width)
+    training = training_tab(read_curves(run.metrics), _of_training(run), samples_of(run.path), most)
     return Scene(
         name=run.name,
         tabs=(*tabs, *((figures,) if figures else ()), training),

@@ -134,6 +134,21 @@ def test_what_lies_in_the_workspace_is_listed_by_the_name_that_finds_it(
     assert workspace.short(folder) == folder
 
 
+@pytest.mark.parametrize("columns", ["", "30"])
+def test_a_folder_s_name_gives_the_terminal_no_orders(
+    columns: str, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It sets the title of the window, clears the screen, and begins an order as terminals of 8 bits know it."""
+    monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
+    monkeypatch.setenv("COLUMNS", columns)
+    folder = tmp_path / "runs" / "a\x1b]0;b\x07\x1b[2J\x9b"
+    folder.mkdir(parents=True)
+    (folder / "run.json").write_text("{}")
+    said = dmbench(["list", "runs"], capsys, monkeypatch)
+    assert r"a\x1b]0;b\x07\x1b[2J\x9b" in "".join(said.out.split())
+    assert not re.search(r"[\x00-\x08\x0b-\x1f\x7f-\x9f]", said.out + said.err)
+
+
 @pytest.fixture
 def strangers(monkeypatch: pytest.MonkeyPatch) -> None:
     """Packages of others: one that breaks on import, one that takes the name of a model of ours."""

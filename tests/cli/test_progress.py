@@ -130,8 +130,8 @@ def test_a_note_is_written_to_a_file_unless_quiet_is_asked_for(
     note("training lapo: diverged.")
     assert capsys.readouterr().err == ""
     monkeypatch.delenv(QUIET)
-    note("training lapo: diverged.")
-    assert capsys.readouterr().err == "training lapo: diverged.\n"
+    note("training lapo\x1b[2J: diverged.")
+    assert capsys.readouterr().err == "training lapo\\x1b[2J: diverged.\n"
 
 
 def test_nothing_is_written_where_quiet_is_asked_for(

@@ -19,6 +19,7 @@ from dmotion_bench.execution.job_progress import (
     read_progress,
     watching,
 )
+from dmotion_bench.execution.slurm_executor import cancel_left
 from dmotion_bench.workspace import Workspace
 
 
@@ -101,3 +102,14 @@ def test_it_is_shown_while_the_jobs_run(tmp_path: Path) -> None:
     with watching(tmp_path, lambda jobs: seen.set() if jobs == {"lapo": said} else None):
         ProgressFile(tmp_path / "lapo.json").tell(said)
         assert seen.wait(30)
+
+
+def test_only_numbers_of_jobs_are_cancelled(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The names of files in a workspace may be somebody else's choice, such as an option of ``scancel``."""
+    for name in ("17", "--name=shell", "-u", "4"):
+        (tmp_path / f"{name}_submission.sh").touch()
+    typed = list[list[str]]()
+    monkeypatch.setattr("shutil.which", lambda name: name)
+    monkeypatch.setattr("subprocess.run", lambda words, **how: typed.append(words))
+    cancel_left(tmp_path)
+    assert [words[2:] for words in typed] == [["17", "4"]]

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import ClassVar, NoReturn
 
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 from walking_square import record_walks
 
 from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.learning.demonstrations import READ_AT_ONCE, Demonstrations
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.images import to_model, to_pixels
@@ -19,7 +22,13 @@ from dmotion_bench.learning.model import ForwardModel, ModelInputs, TripletBatch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training.loop import train
-from dmotion_bench.learning.training.samples import GAP, read_sample, sample_of_demonstrations, samples_of
+from dmotion_bench.learning.training.samples import (
+    GAP,
+    largest_sample,
+    read_sample,
+    sample_of_demonstrations,
+    samples_of,
+)
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
@@ -112,3 +121,22 @@ def test_a_picture_of_many_demonstrations_knows_all_of_their_actions() -> None:
 @pytest.mark.slow
 def test_a_run_without_labels_has_none(recorded: Path, tmp_path: Path) -> None:
     assert not samples_of(trained(recorded, tmp_path / "run", "dmotion", "none").path)
+
+
+def test_a_picture_that_no_training_of_these_frames_makes_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "00000001.png"
+    Image.new("1", (13_000, 13_000)).save(path)  # 20 KiB, and half a gigabyte unpacked
+    with pytest.raises(RunCorrupt, match=f"{re.escape(str(path))}.*13000x13000 pixels; delete it"):
+        read_sample(path)
+    Image.new("RGB", (4 * (8 + GAP), 3 * (6 + GAP))).save(path)
+    assert read_sample(path, largest_sample(6, 8)).shape == (3 * (6 + GAP), 4 * (8 + GAP), 3)
+    with pytest.raises(RunCorrupt):
+        read_sample(path, largest_sample(6, 7))
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89PNG\r\n\x1a\n" + b"x" * 100])
+def test_a_damaged_picture_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "00000001.png"
+    path.write_bytes(content)
+    with pytest.raises(RunCorrupt, match=f"{re.escape(str(path))}.*delete it"):
+        read_sample(path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -73,6 +74,11 @@ def test_damaged_ones_are_computed_again(tmp_path: Path, name: str) -> None:
     file.write_bytes(sound[:middle] + bytes([sound[middle] ^ 1]) + sound[middle + 1 :])
     assert got() == wanted
     assert len(computed) == 2
+    assert file.read_bytes() == sound
+    file.unlink()
+    os.mkfifo(file)  # nobody writes into it
+    assert got() == wanted
+    assert len(computed) == 3
     assert file.read_bytes() == sound
 
 

@@ -23,6 +23,8 @@ class Misbehaving:
 
     def __init__(self, path: Path) -> None:
         self.path, self.unreadable = path, 3
+        while path.name == "sticky":
+            pass
 
     def sha256(self) -> str:
         os.write(1, b"a library that talks")

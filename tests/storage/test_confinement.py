@@ -103,7 +103,8 @@ class Ended(subprocess.Popen[bytes]):
     [
         ("crash", r"'/nowhere/crash' makes its decoder crash \(SIGSEGV\): it is damaged, or made to do so"),
         ("abort", r"makes its decoder crash \(SIGABRT\)"),
-        ("busy", "keeps its decoder busy for more than 1 s with a single picture"),
+        ("busy", "keeps its decoder busy for more than 1 s without another picture"),
+        ("sticky", "keeps its decoder busy for more than 1 s without another picture"),
         ("greedy", "takes more than 256 MiB of memory to be decoded; .*'--max-memory 512'"),
         ("surprise", "the recording cannot be read: LookupError: "),
         ("writes", "cannot be read: (OSError|FileNotFoundError|PermissionError)"),

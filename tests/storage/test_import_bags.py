@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -116,6 +117,16 @@ def test_files_are_of_a_bag_however_they_are_named(tmp_path: Path) -> None:
 def test_the_list_of_a_bag_s_files(tmp_path: Path, text: str, names: list[str]) -> None:
     (tmp_path / METADATA).write_bytes(text.encode("latin-1"))
     assert listed_files(tmp_path / METADATA) == names
+
+
+def test_a_long_description_is_read_line_by_line(tmp_path: Path) -> None:
+    (tmp_path / METADATA).write_text("abc\n" * 300_000 + LISTED + "    - a_0.mcap\n")
+    tracemalloc.start()
+    try:
+        assert listed_files(tmp_path / METADATA) == ["a_0.mcap"]
+        assert tracemalloc.get_traced_memory()[1] < 2**20
+    finally:
+        tracemalloc.stop()
 
 
 def test_a_folder_without_a_description_is_no_bag(tmp_path: Path) -> None:

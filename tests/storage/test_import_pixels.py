@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from io import BytesIO
 
 import numpy as np
@@ -12,6 +13,7 @@ from PIL import Image
 from scipy.ndimage import convolve
 from storage.foreign import compressed, video
 
+from dmotion_bench.storage.imports import pixels
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture, RawPicture
 from dmotion_bench.storage.imports.fitting import Fit, fitted
 from dmotion_bench.storage.imports.limits import ImportLimits
@@ -130,6 +132,34 @@ def test_a_picture_bomb_is_not_unpacked() -> None:
     picture = CompressedPicture(stamp_ns=0, format="png", data=data)
     with pytest.raises(BadPicture, match="declares 600x600 pixels, more than the 100,000"):
         size_of(picture, ImportLimits(pixels=100_000))
+
+
+def test_a_webp_file_may_have_half_the_pixels_as_it_takes_twice_the_memory() -> None:
+    for kind, allowed in (("png", True), ("webp", False)):
+        picture = CompressedPicture(stamp_ns=0, format=kind, data=compressed(np.zeros((60, 60, 3), np.uint8), kind))
+        if allowed:
+            assert to_rgb(picture, ImportLimits(pixels=3600)).shape == (60, 60, 3)
+            continue
+        with pytest.raises(BadPicture, match="declares 60x60 pixels, more than the 1,800"):
+            to_rgb(picture, ImportLimits(pixels=3600))
+
+
+@pytest.mark.parametrize("encoding", ["bayer_rggb8", "bayer_gbrg8", "uyvy", "yuyv"])
+def test_a_large_picture_is_unpacked_in_parts(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    height, width = 1026, 1030
+    size = height * width * (1 if encoding.startswith("bayer") else 2)
+    picture = raw(encoding, np.random.default_rng(0).integers(0, 256, size, np.uint8).tobytes(), height, width)
+    monkeypatch.setattr(pixels, "TILE", 2048)
+    whole = to_rgb(picture, LIMITS)
+    monkeypatch.setattr(pixels, "TILE", 64)
+    tracemalloc.start()
+    try:
+        in_parts = to_rgb(picture, LIMITS)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    np.testing.assert_array_equal(in_parts, whole)
+    assert peak < 6 * height * width  # three of them are the picture; unpacked as a whole it took more than forty
 
 
 @pytest.mark.parametrize(("height", "width", "size"), [(64, 64, 32), (48, 48, 32), (37, 91, 16), (20, 20, 32)])

@@ -154,6 +154,15 @@ def test_where_no_file_can_be_made_beside_it_the_folder_alone_is_locked(
     assert not caplog.records
 
 
+def test_a_link_in_the_lock_s_place_makes_no_file_elsewhere(folder: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    for name in (".d.lock", ".x.lock"):
+        (folder.parent / name).symlink_to(elsewhere)
+    with held(folder), in_turn(folder.parent / "x"), pytest.raises(FolderInUse):
+        FolderLock(folder)
+    assert not elsewhere.exists()
+
+
 def test_who_makes_the_same_file_is_waited_for(folder: Path) -> None:
     order = []
 

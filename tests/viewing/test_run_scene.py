@@ -16,14 +16,16 @@ from pushed_squares import SPEC, write_squares
 from rrd_contents import curve, read, static, tabs_of, values
 
 from dmotion_bench.api.viewing import scene_of
-from dmotion_bench.errors import RunMissing
+from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel, Losses, TripletBatch
 from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.training.samples import samples_of, write_sample
 from dmotion_bench.scoring.transfer import report_folder
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.chart import Curve, log_chart
+from dmotion_bench.viewing.curves import training_tab
 from dmotion_bench.viewing.live import recording_to
 from dmotion_bench.viewing.maps import brightest, tiles
 from dmotion_bench.viewing.run import AMPLIFIED, _of_training, run_scene
@@ -215,3 +217,10 @@ def test_a_run_is_shown_on_another_data_set_with_the_report_on_it(run: Run, tmp_
     assert "trained on *squares-tiny*, shown on *others*" in text
     assert "not held out" not in text
     assert len(curve(rrd, "/episode_4/mse/one_step")) == 7
+
+
+def test_a_picture_of_another_training_is_named(tmp_path: Path) -> None:
+    for step, width in ((1, 8), (2, 9)):
+        write_sample(tmp_path, step, np.zeros((6, width, 3), np.uint8))
+    with pytest.raises(RunCorrupt, match=r"00000002\.png.*not as large as the others; delete it"):
+        training_tab({}, "", samples_of(tmp_path))

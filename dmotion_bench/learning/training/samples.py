@@ -9,6 +9,7 @@ validation episodes. A run without any label has no pictures.
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -20,15 +21,19 @@ from jaxtyping import Float, Int, UInt8
 from PIL import Image
 from torch import Tensor
 
+from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.learning.demonstrations import READ_AT_ONCE, Demonstrations
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.model import ForwardModel, TripletBatch
 from dmotion_bench.learning.runs.run import SAMPLES
 from dmotion_bench.storage.atomic import atomic_file
+from dmotion_bench.wording import shown
 
-COLUMNS: Final = 4
+COLUMNS, ROWS = 4, 3
 GAP, GREY = 3, 90
 """Width [px] and level of the lines between frames."""
+MOST_PIXELS: Final = 2**24
+LONGEST_REASON: Final = 120  # characters of what Pillow says
 
 
 def sample_of_demonstrations(model: ForwardModel[Any], given: Demonstrations) -> UInt8[np.ndarray, "h w 3"]:
@@ -63,10 +68,36 @@ def samples_of(run: Path) -> Mapping[int, Path]:
     return dict(sorted(found.items()))
 
 
-def read_sample(path: Path) -> UInt8[np.ndarray, "h w 3"]:
-    """A picture of ``write_sample``."""
-    with Image.open(path, formats=["PNG"]) as opened:
-        return np.asarray(opened.convert("RGB"))
+def largest_sample(height: int, width: int) -> int:
+    """Pixels that a picture of ``write_sample`` can have, of a training on frames of this size."""
+    return ROWS * (height + GAP) * COLUMNS * (width + GAP)
+
+
+def read_sample(path: Path, most: int = MOST_PIXELS) -> UInt8[np.ndarray, "h w 3"]:
+    """A picture of ``write_sample``.
+
+    Args:
+        path: The file.
+        most: Pixels that it may have; more are not unpacked.
+
+    Raises:
+        RunCorrupt: It is damaged or larger.
+    """
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", Image.DecompressionBombWarning)
+            opened = Image.open(path, formats=["PNG"])
+        with opened:
+            if opened.width * opened.height > most:
+                raise no_sample(path, f"it has {opened.width}x{opened.height} pixels")
+            return np.asarray(opened.convert("RGB"))
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
+        raise no_sample(path, str(error)[:LONGEST_REASON]) from error
+
+
+def no_sample(path: Path, why: str) -> RunCorrupt:
+    """The error for a file that is no picture of ``write_sample``."""
+    return RunCorrupt(f"{shown(str(path))} is no picture of a training: {why.rstrip('.')}; delete it.")
 
 
 def _evenly(count: int, most: int) -> Int[Tensor, " n"]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +16,7 @@ from dmotion_bench.storage.imports.limits import MIB
 
 METADATA: Final = "metadata.yaml"
 _KEY: Final = "relative_file_paths:"
-_LARGEST: Final = 64 * MIB
+_LARGEST: Final = 16 * MIB
 _SHOWN: Final = 3  # names in a sentence
 
 
@@ -49,13 +49,17 @@ def listed_files(metadata: Path) -> Sequence[str]:
     try:
         if not metadata.is_file() or metadata.stat().st_size > _LARGEST:
             return []
-        lines = iter(metadata.read_text("utf-8", errors="replace").splitlines())
+        with metadata.open(encoding="utf-8", errors="replace") as lines:
+            return _listed(map(str.strip, lines))
     except OSError:
         return []
-    if not any(line.strip() == _KEY for line in lines):  # the lines after it are left in the iterator
+
+
+def _listed(lines: Iterator[str]) -> list[str]:
+    if _KEY not in lines:  # the lines after it are left in the iterator
         return []
     names: list[str] = []
-    for line in map(str.strip, lines):
+    for line in lines:
         if line.startswith("-"):
             names.append(line[1:].strip())
         elif names and not names[-1]:  # a long name may stand below its dash

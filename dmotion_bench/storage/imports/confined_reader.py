@@ -64,31 +64,39 @@ class Reader:
                 send(self._answers, {"error": "RecordingImportError", "sentence": sentence})
 
     def _answer(self, request: dict[str, Any], wanted: np.ndarray[Any, Any]) -> None:
-        number, seconds = request["number"], self._options.limits.reader_seconds
-        if request["do"] == "open":
-            self._recordings[number] = self._open(Path(request["path"]), request["kind"], self._options)
-            send(self._answers, {})
+        number = request["number"]
+        if request["do"] == "sha256":  # takes as long as the file is
+            send(self._answers, {"sha256": self._recordings[number].sha256()})
             return
-        recording = self._recordings[number]
-        if request["do"] == "sha256":
-            send(self._answers, {"sha256": recording.sha256()})
-            return
-        signal.setitimer(signal.ITIMER_PROF, seconds)
+        self._begin_timing()
         try:
-            if request["do"] == "survey":
-                survey = recording.survey(self._found)
-                if survey.skipped and self._lacks_memory():
-                    raise MemoryError
-                head, body = packed_survey(survey)
-                send(self._answers, head | {"unreadable": recording.unreadable}, body)
-                return
-            for picture in recording.pictures(request["segment"], wanted.astype(np.int64)):
-                height, width = picture.shape[:2]
-                head = {"height": height, "width": width, "unreadable": recording.unreadable}
-                send(self._answers, head, np.ascontiguousarray(picture).data.cast("B"))
-                signal.setitimer(signal.ITIMER_PROF, seconds)
+            if request["do"] == "open":
+                self._recordings[number] = self._open(Path(request["path"]), request["kind"], self._options)
+                send(self._answers, {})
+            elif request["do"] == "survey":
+                self._survey(self._recordings[number])
+            else:
+                self._send_pictures(self._recordings[number], request["segment"], wanted)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0)
+
+    def _survey(self, recording: Recording) -> None:
+        survey = recording.survey(self._found)
+        if survey.skipped and self._lacks_memory():
+            raise MemoryError
+        head, body = packed_survey(survey)
+        send(self._answers, head | {"unreadable": recording.unreadable}, body)
+
+    def _send_pictures(self, recording: Recording, segment: int, wanted: np.ndarray[Any, Any]) -> None:
+        for picture in recording.pictures(segment, wanted.astype(np.int64)):
+            height, width = picture.shape[:2]
+            head = {"height": height, "width": width, "unreadable": recording.unreadable}
+            send(self._answers, head, np.ascontiguousarray(picture).data.cast("B"))
+            self._begin_timing()
+
+    def _begin_timing(self) -> None:
+        """From now on the next picture, or what else was asked for, has its time."""
+        signal.setitimer(signal.ITIMER_PROF, self._options.limits.reader_seconds)
 
     def _lacks_memory(self) -> bool:
         """Whether damage may be a lack of memory: decoders do not tell one from the other."""
@@ -97,7 +105,7 @@ class Reader:
     def _found(self, pictures: int) -> None:
         """Tell how far the survey is, now and then; the next picture has its own time."""
         if time.monotonic() - self._said >= SAY_EVERY_S:
-            signal.setitimer(signal.ITIMER_PROF, self._options.limits.reader_seconds)
+            self._begin_timing()
             self._said = time.monotonic()
             send(self._answers, {"pictures": pictures})
 

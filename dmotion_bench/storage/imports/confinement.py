@@ -158,8 +158,8 @@ class Confinement:
         if code == -signal.SIGPROF:
             seconds = self.options.limits.reader_seconds
             return RecordingImportError(
-                f"{str(path)!r} keeps its decoder busy for more than {seconds} s with a single picture; it is damaged, "
-                "or made to do so."
+                f"{str(path)!r} keeps its decoder busy for more than {seconds} s without another picture; it is "
+                "damaged, or made to do so."
             )
         if code in (-signal.SIGKILL, -signal.SIGTERM):
             return RecordingImportError(f"reading {str(path)!r} was stopped from outside; the machine may lack memory.")

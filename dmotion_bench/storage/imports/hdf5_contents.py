@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from typing import Final
 
 import h5py
@@ -15,7 +16,8 @@ ERRORS: Final = (OSError, RuntimeError, ValueError, KeyError, TypeError, IndexEr
 
 _LZF: Final = 32000  # h5py's own
 _BUILT_IN: Final = {h5py.h5z.FILTER_DEFLATE, h5py.h5z.FILTER_SHUFFLE, h5py.h5z.FILTER_FLETCHER32, _LZF}
-_DEEPEST, _MOST = 6, 100_000  # levels and names of a file that are looked at
+_DEEPEST = 6  # levels of a file that are looked at
+_MOST, _MOST_INSIDE = 100_000, 10_000  # names in one group, and in a demonstration with all groups in it
 
 
 def names(group: h5py.Group) -> list[str]:
@@ -37,16 +39,24 @@ def own(group: h5py.Group, name: str) -> h5py.Group | h5py.Dataset | None:
     return found if isinstance(found, h5py.Group | h5py.Dataset) else None
 
 
-def datasets(group: h5py.Group, prefix: str = "", depth: int = 0) -> dict[str, h5py.Dataset]:
-    """The data sets in a group by their paths within it; a file can lead in circles, so there is a deepest level."""
-    found: dict[str, h5py.Dataset] = {}
+def datasets(group: h5py.Group) -> dict[str, h5py.Dataset]:
+    """The data sets in a group by their paths within it.
+
+    A file can lead in circles, and to one group under many names: there is a deepest level, and a most that is looked
+    at in all.
+    """
+    return dict(_datasets(group, "", 0, iter(range(_MOST_INSIDE))))
+
+
+def _datasets(group: h5py.Group, prefix: str, depth: int, left: Iterator[int]) -> Iterator[tuple[str, h5py.Dataset]]:
     for name in sorted(names(group), key=natural):
+        if next(left, None) is None:
+            return
         inside = own(group, name)
         if isinstance(inside, h5py.Dataset):
-            found[prefix + name] = inside
-        elif isinstance(inside, h5py.Group) and depth < _DEEPEST and len(found) < _MOST:
-            found |= datasets(inside, f"{prefix}{name}/", depth + 1)
-    return found
+            yield prefix + name, inside
+        elif isinstance(inside, h5py.Group) and depth < _DEEPEST:
+            yield from _datasets(inside, f"{prefix}{name}/", depth + 1, left)
 
 
 def fault(dataset: h5py.Dataset, limits: ImportLimits) -> str | None:

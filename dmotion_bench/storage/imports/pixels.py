@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import struct
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from io import BytesIO
 from typing import Final
@@ -25,6 +25,8 @@ from dmotion_bench.storage.imports.limits import ImportLimits
 
 RGB = UInt8[np.ndarray, "h w 3"]
 Rows = UInt8[np.ndarray, "h bytes"]
+TILE: Final = 1024
+"""Side of the parts that a picture is unpacked in [px]: what that takes besides the picture does not grow with it."""
 
 
 def _order(*channels: int, of: int) -> Callable[[Rows], RGB]:
@@ -38,14 +40,24 @@ def _gray(rows: Rows) -> RGB:
     return np.repeat(rows[..., None], 3, axis=2)
 
 
+def _tiles(height: int, width: int) -> Iterator[tuple[slice, slice]]:
+    """The rows and columns of the parts that a picture is unpacked in; each begins at an even row and column."""
+    for top in range(0, height, TILE):
+        for left in range(0, width, TILE):
+            yield slice(top, min(top + TILE, height)), slice(left, min(left + TILE, width))
+
+
 def _yuv(luma: int, blue: int, red: int) -> Callable[[Rows], RGB]:
     def unpack(rows: Rows) -> RGB:
-        pairs = rows.reshape(len(rows), -1, 4).astype(np.float32)
-        y = pairs[..., luma::2]
-        u, v = pairs[..., blue, None] - 128, pairs[..., red, None] - 128
-        rgb = np.stack([y + 1.402 * v, y - 0.344136 * u - 0.714136 * v, y + 1.772 * u], axis=-1)
-        rounded: RGB = np.rint(rgb.clip(0, 255)).astype(np.uint8).reshape(len(rows), -1, 3)
-        return rounded
+        pairs = rows.reshape(len(rows), -1, 4)
+        rgb = np.empty((len(rows), 2 * pairs.shape[1], 3), np.uint8)
+        for down, across in _tiles(*rgb.shape[:2]):
+            part = pairs[down, across.start // 2 : across.stop // 2].astype(np.float32)
+            y = part[..., luma::2]
+            u, v = part[..., blue, None] - 128, part[..., red, None] - 128
+            colours = np.stack([y + 1.402 * v, y - 0.344136 * u - 0.714136 * v, y + 1.772 * u], axis=-1)
+            rgb[down, across] = np.rint(colours.clip(0, 255)).reshape(len(part), -1, 3)
+        return rgb
 
     return unpack
 
@@ -57,16 +69,24 @@ def demosaic(mosaic: UInt8[np.ndarray, "h w"], pattern: str) -> RGB:
         mosaic: One colour a pixel.
         pattern: The colours of the top left 2x2 pixels, row by row: ``"rggb"``, ``"bggr"``, ``"gbrg"``, ``"grbg"``.
     """
-    height, width = mosaic.shape
-    colours = np.array([["rgb".index(letter) for letter in pattern[row : row + 2]] for row in (0, 2)])
-    where = np.tile(colours, (height // 2 + 1, width // 2 + 1))[:height, :width]
-    planes = np.where(where[..., None] == np.arange(3), mosaic[..., None], 0).astype(np.uint16)
-    padded = np.pad(planes, ((1, 1), (1, 1), (0, 0)), mode="reflect")
+    rgb = np.empty((*mosaic.shape, 3), np.uint8)
+    bordered = np.pad(mosaic, 1, mode="reflect")
+    for down, across in _tiles(*mosaic.shape):
+        rgb[down, across] = _demosaic(bordered[down.start : down.stop + 2, across.start : across.stop + 2], pattern)
+    return rgb
 
-    centre = padded[1:-1, 1:-1]
-    sides_x = padded[1:-1, :-2] + padded[1:-1, 2:]
-    sides_y = padded[:-2, 1:-1] + padded[2:, 1:-1]
-    corners = padded[:-2, :-2] + padded[:-2, 2:] + padded[2:, :-2] + padded[2:, 2:]
+
+def _demosaic(bordered: UInt8[np.ndarray, "h+2 w+2"], pattern: str) -> RGB:
+    """A part of a mosaic; its border, a pixel wide, is not in what is returned."""
+    height, width = bordered.shape
+    colours = np.array([["rgb".index(letter) for letter in pattern[row : row + 2]] for row in (2, 0)])[:, ::-1]
+    where = np.tile(colours, (height // 2 + 1, width // 2 + 1))[:height, :width]  # the border comes first
+    planes = np.where(where[..., None] == np.arange(3), bordered[..., None], 0).astype(np.uint16)
+
+    centre = planes[1:-1, 1:-1]
+    sides_x = planes[1:-1, :-2] + planes[1:-1, 2:]
+    sides_y = planes[:-2, 1:-1] + planes[2:, 1:-1]
+    corners = planes[:-2, :-2] + planes[:-2, 2:] + planes[2:, :-2] + planes[2:, 2:]
     quarters: Integer[np.ndarray, "h w 3"] = 4 * centre + 2 * (sides_x + sides_y) + corners
     quarters[..., 1] = (4 * centre + sides_x + sides_y)[..., 1]
     return ((quarters + 2) // 4).astype(np.uint8)
@@ -145,7 +165,7 @@ def size_of(picture: Picture, limits: ImportLimits) -> tuple[int, int]:
         shape = shape_of(picture, limits)
         return shape.height, shape.width
     height, width = picture.height, picture.width
-    _check_size(height, width, limits)
+    _check_size(height, width, limits.pixels)
     row = width * _bytes_a_pixel(picture.encoding)
     step = picture.step or row
     if step < row:
@@ -196,11 +216,11 @@ def _bytes_a_pixel(encoding: str) -> int:
     return UNPACK[encoding][0]
 
 
-def _check_size(height: int, width: int, limits: ImportLimits) -> None:
+def _check_size(height: int, width: int, most: int) -> None:
     if not height or not width:
         raise BadPicture(f"is {width}x{height} pixels large: it is empty")
-    if height * width > limits.pixels:
-        raise BadPicture(f"declares {width}x{height} pixels, more than the {limits.pixels:,} that one may have")
+    if height * width > most:
+        raise BadPicture(f"declares {width}x{height} pixels, more than the {most:,} that one may have")
 
 
 def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
@@ -219,7 +239,8 @@ def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
         raise BadPicture(
             f"has the format {picture.format[:60]!r}, but its {len(picture.data):,} bytes are no JPEG, PNG or WebP file"
         ) from error
-    _check_size(image.height, image.width, limits)
+    # libwebp keeps a picture four times while it unpacks it
+    _check_size(image.height, image.width, limits.pixels // (2 if image.format == "WEBP" else 1))
     return image
 
 
@@ -240,9 +261,13 @@ def _orientation(image: Image.Image) -> int:
     return number if number in _UPRIGHT else 1
 
 
-def _rgb(image: Image.Image) -> Image.Image:
+def _rgb(image: Image.Image) -> RGB:
     """Without its alpha channel, by way of one where a palette holds it: Pillow warns of the direct way."""
-    return (image.convert("RGBA") if image.mode == "P" else image).convert("RGB")
+    rgb = np.empty((image.height, image.width, 3), np.uint8)
+    for down, across in _tiles(image.height, image.width):
+        part = image.crop((across.start, down.start, across.stop, down.stop))
+        rgb[down, across] = np.asarray((part.convert("RGBA") if part.mode == "P" else part).convert("RGB"))
+    return rgb
 
 
 def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
@@ -253,9 +278,9 @@ def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
                 image.load()
                 turn = _UPRIGHT.get(_orientation(image))
                 if turn is not None:
-                    return np.array(_rgb(image).transpose(turn))
+                    return _rgb(image.transpose(turn))
                 if _is_deep(image):
                     return _gray((np.asarray(image) >> 8).astype(np.uint8))
-                return np.array(_rgb(image))
+                return _rgb(image)
         except (OSError, ValueError, SyntaxError, Warning) as error:
             raise BadPicture(f"is a damaged {image.format} file: {str(error)[:120]}") from error

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from dmotion_bench.cli.options import AsJson
-from dmotion_bench.cli.stdout import print_json
+from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.wording import command
 
 
@@ -29,12 +29,12 @@ def demo(
 
     with BarOnDemand() as bar:
 
-        def say(line: str) -> None:
+        def tell(line: str) -> None:
             bar.end()
             if not as_json:
                 say(line)
 
-        done = demonstrate(out, seed=seed, workers=None, say=say, note=note, progress=bar)
+        done = demonstrate(out, seed=seed, workers=None, say=tell, note=note, progress=bar)
     if as_json:
         print_json(done.to_json())
         return

@@ -66,6 +66,11 @@ class Row:
     labels: str
     seed: int | None = None
 
+    def request(self, common: TrainingRequest) -> TrainingRequest:
+        """What is asked for, where something else is the same for all rows."""
+        seed = common.seed if self.seed is None else self.seed
+        return dataclasses.replace(common, model=self.model, labels=self.labels or None, seed=seed)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
@@ -124,9 +129,7 @@ def train_table(
     for row in rows(dataset) if chosen is None else chosen:
         run = None
         try:
-            seed = request.seed if row.seed is None else row.seed
-            wanted = dataclasses.replace(request, model=row.model, labels=row.labels or None, seed=seed)
-            run = open_run(wanted, dataset, None, workspace)
+            run = open_run(row.request(request), dataset, None, workspace)
             train(run)
         except StorageFull:
             raise

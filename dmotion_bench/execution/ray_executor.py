@@ -23,6 +23,7 @@ from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result, Sen
 from dmotion_bench.wording import counted
 from dmotion_bench.workspace import CACHE_VARIABLE
 
+_LOG: Final = logging.getLogger(__name__)
 _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
 _MORE_MACHINES: Final = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """0, on any system: a Ray of this machine alone, whose servers listen on the loopback address and on no other."""
@@ -72,6 +73,7 @@ class RayExecutor:
         try:
             if not ray.is_initialized():
                 self._start()
+            self._tell_of_waiting()
             limit = self._workers or self._most(ray.cluster_resources())
 
             cache = os.environ.get(CACHE_VARIABLE)
@@ -109,6 +111,18 @@ class RayExecutor:
         """How many jobs the cluster can run at a time."""
         most = int(resources.get("CPU", 1)) // self._each
         return max(1, min(most, int(resources.get("GPU", 0)) // self._gpus) if self._gpus else most)
+
+    def _tell_of_waiting(self) -> None:
+        """Warn where no machine can run a job: Ray says nothing then, and waits for one that can, perhaps for ever."""
+        wanted = {"CPU": self._each, "GPU": self._gpus}
+        alive = [node["Resources"] for node in self._ray.nodes() if node["Alive"]]
+        if not any(all(has.get(kind, 0) >= count for kind, count in wanted.items()) for has in alive):
+            gpus = f" and {counted(self._gpus, 'GPU')}" if self._gpus else ""
+            _LOG.warning(
+                "no machine of this Ray cluster has the %s%s that each job asks for, so the jobs wait until one joins; "
+                "if none will, stop this command and ask for less ('--threads', '--device cpu').",
+                *(counted(self._each, "processor"), gpus),
+            )
 
     def _start(self) -> None:
         """Start Ray; it would end this process on SIGTERM without tidying up."""

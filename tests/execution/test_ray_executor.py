@@ -50,6 +50,9 @@ class PretendRay:
     def cluster_resources(self) -> dict[str, float]:
         return {"CPU": self.processors}
 
+    def nodes(self) -> list[dict[str, Any]]:
+        return [{"Alive": True, "Resources": {"CPU": self.processors}}, {"Alive": False, "Resources": {"CPU": 64}}]
+
     def remote(self, **options: Any) -> Callable[[Callable[[Any], Any]], Any]:
         return lambda function: SimpleNamespace(remote=lambda *job: (function, job))
 
@@ -130,6 +133,24 @@ def test_a_ray_of_this_machine_can_run_what_is_asked_for(ray: PretendRay, monkey
     ray.running = False
     with pytest.raises(DmbenchError, match="each job asks for 1 GPU, and Ray finds 0 on this machine"):
         list(RayExecutor(size=JobSize(gpus=1)).map_unordered(abs, [-1]))
+
+
+@pytest.mark.parametrize(
+    ("size", "told"),
+    [
+        (JobSize(processors=2), ""),
+        (JobSize(processors=4), "has the 4 processors that each job"),
+        (JobSize(gpus=1), "has the 1 processor and 1 GPU that each job"),
+    ],
+)
+def test_jobs_that_no_machine_of_a_running_ray_can_do_are_told_of(
+    ray: PretendRay, caplog: pytest.LogCaptureFixture, size: JobSize, told: str
+) -> None:
+    """Ray itself waits and says nothing; a cluster that grows may get such a machine."""
+    ray.running = True
+    assert list(RayExecutor(2, size).map_unordered(abs, [-1])) == [1]
+    assert len(caplog.messages) == bool(told)
+    assert told in caplog.text
 
 
 def test_a_ray_whose_workers_do_not_answer_is_started_anew_once(ray: PretendRay) -> None:

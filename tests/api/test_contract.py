@@ -15,6 +15,7 @@ from dmotion_bench.api.contract import explaining
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.learning.runs.run import RunSpec
 from dmotion_bench.learning.runs.start import TrainingRequest
 from dmotion_bench.learning.training.table import Row
 from dmotion_bench.specs import Preset
@@ -62,7 +63,7 @@ def test_a_model_that_others_train_is_tried_once_before_they_begin(
         tried.append("submitted")
         return SerialExecutor()
 
-    def count(spec: contract.RunSpec) -> ModelContractBroken | None:
+    def count(spec: RunSpec) -> ModelContractBroken | None:
         tried.append(spec.model)
         return breach(spec)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import os
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import pytest
 
@@ -27,7 +28,7 @@ def test_a_machine_that_starts_no_more_processes_is_said(monkeypatch: pytest.Mon
     def refuse(*_: object) -> None:
         raise error
 
-    monkeypatch.setattr(local_executor, "_context", lambda _: local_executor.get_context("spawn"))
+    monkeypatch.setattr(local_executor, "_context", lambda _: get_context("spawn"))
     monkeypatch.setattr(ProcessPoolExecutor, "submit", refuse)
     with pytest.raises(
         DmbenchError, match=r"no more worker processes can be started on this machine.*fewer '--workers'"

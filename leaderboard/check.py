@@ -26,7 +26,19 @@ from typing import Final
 
 import pyarrow as pa
 
-from dmotion_bench.errors import DatasetError, DmbenchError, JobsLost, PackageNotInstalled, UnknownName, UsageError
+from dmotion_bench.errors import (
+    CacheNotWritable,
+    DatasetError,
+    DmbenchError,
+    FolderInUse,
+    JobsLost,
+    PackageNotInstalled,
+    PlaceUnreachable,
+    RunMissing,
+    StorageFull,
+    UnknownName,
+    UsageError,
+)
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.hardware.threads import not_allowed, using_threads
@@ -58,6 +70,8 @@ from leaderboard.verdict import Findings, Verdict, short
 
 LEAST_RESAMPLES: Final = 100  # of very few draws an interval is as narrow as one likes
 MOST_RESAMPLES: Final = 100_000
+_HERE: Final = (CacheNotWritable, FolderInUse, PlaceUnreachable, StorageFull)
+"""What keeps this machine from checking says nothing against an entry."""
 _SHARED: Final = SharedSamples(on_disk=False)  # what is checked is computed here
 """Of the present process: it computes them once for all entries of a data set that it checks."""
 
@@ -146,6 +160,8 @@ def check_entry(
             )
     except (UnknownName, PackageNotInstalled) as error:
         check.missing.append(f"code: {error}")
+    except _HERE as error:
+        check.missing.append(f"this machine: {error}")
     except DmbenchError as error:
         check.wrong.append(f"scoring anew fails: {error}")
     return check.verdict()
@@ -202,6 +218,8 @@ def check_job(job: CheckJob, on_progress: Progress = silent) -> tuple[int, Verdi
         entry = read_entry(job.path) if job.path.is_file() else entry_of_run(job.path, job.report)
         how, workspace = Execution(progress=show), Workspace(job.workspace)
         verdict = check_entry(entry, workspace, job.settings, how=how, shared=_SHARED)
+    except (RunMissing, *_HERE) as error:  # a run without a report claims nothing
+        verdict = Verdict(entry=job.path.name, findings=(), missing=(str(error),))
     except DmbenchError as error:
         verdict = Verdict(entry=job.path.name, findings=(str(error),))
     finally:
@@ -262,7 +280,7 @@ def check_paths(
                 on_verdict(len(verdicts), len(jobs))
         except JobsLost as lost:
             for job in lost.jobs:
-                verdicts[job.number] = Verdict(entry=job.path.name, findings=(str(lost),))
+                verdicts[job.number] = Verdict(entry=job.path.name, findings=(), missing=(str(lost),))
     return [verdicts[number] for number in range(len(jobs))]
 
 

@@ -58,10 +58,10 @@ def test_a_killed_worker_changes_no_verdict(
     assert counted == [(done, 6) for done in range(7)]
 
 
-def test_a_lost_job_is_found_at_its_entry_alone(entries: Path, tmp_path: Path) -> None:
+def test_an_entry_whose_job_is_lost_is_not_checked(entries: Path, tmp_path: Path) -> None:
     found = check_paths([entries], Workspace(tmp_path / "nowhere"), executor=Losing())
     in_turn = check_paths([entries], Workspace(tmp_path / "nowhere"))
-    assert found[0].findings == ("a worker was killed.",)
+    assert (found[0].findings, found[0].missing) == ((), ("a worker was killed.",))
     assert found[1:] == in_turn[1:]
 
 

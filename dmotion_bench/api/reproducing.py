@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from dmotion_bench.api.contract import begins_all_the_same, breaches_before, with_breach
+from dmotion_bench.api.contract import begins_all_the_same, breaches_before, train_rows_explained, with_breach
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
@@ -260,7 +260,7 @@ class _Work:
         breaches = self._breaches(left)
         with self._executing(len(left)) as (executor, folder):
             jobs = [self._job(one, folder / f"{number}.json") for number, one in enumerate(left)]
-            outcomes = train_jobs(jobs, executor)
+            outcomes = train_jobs(jobs, executor, train_rows_explained)
             self.watch.count("training", 0, total)
             with watching(folder, self.watch.jobs), contextlib.closing(outcomes):
                 for done, outcome in enumerate(outcomes, start=1):

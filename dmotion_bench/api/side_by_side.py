@@ -10,7 +10,12 @@ from typing import Final
 
 import torch
 
-from dmotion_bench.api.contract import begins_all_the_same, breaches_before, with_breach
+from dmotion_bench.api.contract import (
+    begins_all_the_same,
+    breaches_before,
+    train_rows_explained,
+    with_breach,
+)
 from dmotion_bench.api.scoring import changed_code, compute_device, names_apart
 from dmotion_bench.errors import RunError
 from dmotion_bench.execution.available import available_workers
@@ -202,6 +207,7 @@ def _trained_at_once(
             progress=folder,
             trackers=trackers,
             loaders=loaders,
+            how=train_rows_explained,
         )
         with watching(folder, hands.watch), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):

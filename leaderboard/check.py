@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -47,15 +48,14 @@ from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.gain import GAIN_VERSION, GainScoring
 from dmotion_bench.scoring.prediction import Execution, Progress, silent
 from dmotion_bench.scoring.references import published_results
-from dmotion_bench.scoring.report import SCORING_VERSION
+from dmotion_bench.scoring.report import CONTRACT, SCORING_VERSION
 from dmotion_bench.scoring.samples import CONTROL, GAIN
-from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.score import contract_remark, score_model
 from dmotion_bench.scoring.settings import METRICS, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import report_folder, transfer_folders
 from dmotion_bench.sharing.wanted import entry_files
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 from leaderboard.build import entry_of_run
@@ -130,8 +130,7 @@ def check_entry(
     except DatasetError as error:
         check.missing.append(f"data set of the training: {error}")
         return check.verdict()
-    split = "test" if asked is None else asked.split
-    folder = report_folder(run.path, run.spec.fingerprint, dataset, split, check.entry.column)
+    folder = report_folder(run.path, run.spec.fingerprint, dataset, column=check.entry.column)
     against_run(check, run, dataset, folder)
     samples = stored_samples(check, folder)
     if asked is None or read is None:
@@ -180,6 +179,7 @@ def _score_anew(
     metrics = tuple(name for name in METRICS if name in check.entry.content["settings"]["metrics"] and name != CONTROL)
     scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, shared=shared)
     same_scores(check, scores)
+    check.expect(f"remarks.{CONTRACT}", check.entry.content["remarks"].get(CONTRACT), contract_remark(run, dataset))
     if samples is not None:
         same_samples(check, samples, scores.samples, settings.differing)
         same_pictures(check, take_pictures(run, dataset, scores.samples))
@@ -281,7 +281,18 @@ def check_paths(
         except JobsLost as lost:
             for job in lost.jobs:
                 verdicts[job.number] = Verdict(entry=job.path.name, findings=(), missing=(str(lost),))
-    return [verdicts[number] for number in range(len(jobs))]
+    return _told_apart([(job.path, verdicts[job.number]) for job in jobs])
+
+
+def _told_apart(found: Sequence[tuple[Path, Verdict]]) -> list[Verdict]:
+    """The verdicts; where several entries call themselves the same, with the names of their files."""
+    often = Counter(verdict.entry for _, verdict in found)
+    return [
+        replace(verdict, entry=f"{verdict.entry}, {path.name}")
+        if often[verdict.entry] > 1 and path.is_file()
+        else verdict
+        for path, verdict in found
+    ]
 
 
 def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
@@ -324,8 +335,6 @@ def _settings(check: Findings) -> ScoreSettings | None:
     given = dict(check.entry.content["settings"])
     known = {one.name for one in fields(ScoreSettings)}
     allowed = {
-        "split": given["split"] in SPLIT_NAMES,
-        "protocol": given["protocol"] in ("episode", "paper"),
         "precision": given["precision"] in ("float32", "bf16"),
         "resamples": type(given.get("resamples")) is int and LEAST_RESAMPLES <= given["resamples"] <= MOST_RESAMPLES,
         "metrics": isinstance(given["metrics"], list),

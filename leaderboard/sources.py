@@ -21,7 +21,6 @@ from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.check import cache_damages, labels_state, table_damages
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
-from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import Workspace
 from leaderboard.verdict import SHOWN, Findings
@@ -122,8 +121,7 @@ def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
     Raises:
         DatasetError: That takes the data set of the training, which is not there or damaged.
     """
-    split = check.entry.content["settings"]["split"]
-    if dataset.fingerprint == run.spec.fingerprint or split not in SPLIT_NAMES:
+    if dataset.fingerprint == run.spec.fingerprint:
         return dataset
     if not training_is_here(run) and dataset.recipe.environment != IMPORTED:
         check.missing.append(
@@ -131,7 +129,7 @@ def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
             "is not there or has changed; record it again, or fetch it with '--from PLACE'"
         )
     try:
-        return transferable(run, dataset, split, check.entry.column)
+        return transferable(run, dataset, "test", check.entry.column)
     except RunMismatch as error:
         check.wrong.append(f"data set: {error}")
     return None
@@ -167,8 +165,6 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
     if CONTRACT in content["remarks"]:
         check.remarks.append(f"{CONTRACT}: {content['remarks'][CONTRACT]}")
-    if content["settings"]["split"] != "test":
-        check.remarks.append(f"scored on the {content['settings']['split']} episodes, not on the test's")
     if changed := run.changed_modules:
         check.remarks.append(
             f"the code of the model was changed since the training ({', '.join(changed[:SHOWN])}"

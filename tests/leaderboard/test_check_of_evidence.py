@@ -23,6 +23,7 @@ from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.report import write_report
 from dmotion_bench.scoring.samples import SCHEMA, read_samples
 from dmotion_bench.scoring.shared_samples import SharedSamples
+from dmotion_bench.scoring.soundness import TOGETHER
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.storage.tables import EPISODES
@@ -165,6 +166,20 @@ def test_labels_that_the_run_miscounts_as_its_entry_does_are_found(workspace: Wo
 
     findings = check_entry(forged, workspace, QUICK).findings
     assert findings == ("labels.total, the sum of labels.given: the entry says 1, it is 4",)
+
+
+def test_a_broken_contract_that_report_and_entry_conceal_is_found(
+    workspace: Workspace, sound: Entry, shared: SharedSamples, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a model that looks at the other frames of a batch, figures are no better than its author wants."""
+    monkeypatch.setattr("dmotion_bench.scoring.score.is_built_in", lambda *_: False)
+    assert check_entry(sound, workspace, shared=shared).holds
+    monkeypatch.setattr("dmotion_bench.scoring.score.unsound_prediction", lambda *_: TOGETHER)
+
+    [finding] = check_entry(sound, workspace, shared=shared).findings
+    assert finding.startswith(
+        "remarks.contract: the entry says None, it is 'the model breaks it: predict gives a frame"
+    )
 
 
 @pytest.mark.parametrize("error", [StorageFull("no space left."), CacheNotWritable("the cache can be kept nowhere.")])

@@ -106,3 +106,13 @@ def test_the_command_says_the_same_for_any_workers(
     assert (alone.code, alone.out) == (ray.code, ray.out)
     assert alone.code == 1
     assert not list(tmp_path.glob(".jobs-*"))
+
+
+def test_entries_that_call_themselves_the_same_are_told_apart_by_their_files(
+    sound: Entry, changed: Any, tmp_path: Path
+) -> None:
+    folder = tmp_path / "entries"
+    for number, entry in enumerate((sound, changed(seed=5), changed(run="another"))):
+        write_entry(entry, folder).rename(folder / f"sent-{number}.json")
+    names = [verdict.entry for verdict in check_paths([folder], Workspace(tmp_path / "nowhere"))]
+    assert names == [f"{sound.name}, sent-0.json", f"{sound.name}, sent-1.json", "another"]

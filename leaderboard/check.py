@@ -48,7 +48,7 @@ from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.gain import GAIN_VERSION, GainScoring
 from dmotion_bench.scoring.prediction import Execution, Progress, silent
 from dmotion_bench.scoring.references import published_results
-from dmotion_bench.scoring.report import CONTRACT, SCORING_VERSION
+from dmotion_bench.scoring.report import CONTRACT, REPORT_FILE, REPORT_FOLDER, SCORING_VERSION
 from dmotion_bench.scoring.samples import CONTROL, GAIN
 from dmotion_bench.scoring.score import contract_remark, score_model
 from dmotion_bench.scoring.settings import METRICS, ScoreSettings
@@ -136,7 +136,7 @@ def check_entry(
     if asked is None or read is None:
         return check.verdict()
     if samples is not None:
-        against_samples(check, samples, asked)
+        against_samples(check, samples, asked, read)
     how, threads = how or Execution(), run.threads if settings.score else None
     if threads is not None and (told := not_allowed(threads)) is not None:
         check.missing.append(f"threads: {told}")
@@ -296,7 +296,7 @@ def _told_apart(found: Sequence[tuple[Path, Verdict]]) -> list[Verdict]:
 
 
 def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
-    """The entry files that a path stands for, or the run with all its reports.
+    """The entry files that a path stands for, or the run with all the reports that it has.
 
     Raises:
         UsageError: It names an entry's file that is not there.
@@ -310,7 +310,9 @@ def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
         build = "'dmbench leaderboard build'"
         raise UsageError(f"there is no entry {shown(str(path))}; {build} writes those of the workspace's runs.")
     run = workspace.run(path)
-    return [(run, None), *((run, folder) for folder in transfer_folders(run))]
+    elsewhere = [(run, folder) for folder in transfer_folders(run)]
+    has_own = (run / REPORT_FOLDER / REPORT_FILE).is_file() or not elsewhere  # else that it has none is said
+    return [(run, None), *elsewhere] if has_own else [*elsewhere]
 
 
 def _against_tables(check: Findings) -> None:

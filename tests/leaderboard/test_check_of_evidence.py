@@ -168,6 +168,19 @@ def test_labels_that_the_run_miscounts_as_its_entry_does_are_found(workspace: Wo
     assert findings == ("labels.total, the sum of labels.given: the entry says 1, it is 4",)
 
 
+def test_a_report_of_validation_episodes_that_calls_itself_the_test_s_is_found(workspace: Workspace) -> None:
+    validation = Dataset.open(workspace.data / "grid_world-tiny").split("validation").tolist()
+
+    def of_validation(rows: list[dict[str, Any]]) -> None:
+        of = dict(zip(sorted({row["episode"] for row in rows}), validation, strict=False))
+        for row in rows:
+            row["episode"] = of.get(row["episode"], row["episode"])
+
+    findings = check_entry(_rewritten(workspace.runs / RUN, of_validation), workspace, QUICK).findings
+    assert len(findings) == 1
+    assert findings[0].startswith(f"samples: episode {validation[0]}, ")
+
+
 def test_a_broken_contract_that_report_and_entry_conceal_is_found(
     workspace: Workspace, sound: Entry, shared: SharedSamples, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -138,22 +138,27 @@ class RayExecutor:
             try:
                 _knock(address)
                 self._ray.init(**quiet)
-            except (OSError, ValueError) as error:
+            except Exception as error:  # as below
                 raise DmbenchError(
-                    f"there is no Ray at RAY_ADDRESS={address!r}: {str(error).splitlines()[0]}; start it with "
+                    f"there is no Ray at RAY_ADDRESS={address!r}: {_first_line(error)}; start it with "
                     "'ray start --head', or take the variable away to use this machine's processors."
                 ) from None
             return
         processors = self._workers * self._each if self._workers else max(available_workers(), self._each)
         for _ in range(_STARTS):
-            self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
-            if self._answers():
-                break
+            said = f"no worker of it answered within {_FIRST_ANSWER:.0f} s"
+            try:
+                self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
+            except Exception as error:  # Ray raises plain ones, such as where a busy machine takes it too long
+                said = f"it failed ({_first_line(error)})"
+            else:
+                if self._answers():
+                    break
             self._ray.shutdown()
         else:
             raise DmbenchError(
-                f"Ray was started {_STARTS} times on this machine, and no worker of it answered within "
-                f"{_FIRST_ANSWER:.0f} s; see '/tmp/ray/session_latest/logs', or use '--executor local'."
+                f"Ray was started {_STARTS} times on this machine, and {said}; see '/tmp/ray/session_latest/logs', or "
+                "use '--executor local'."
             )
         if self._gpus > (found := self._ray.cluster_resources().get("GPU", 0)):  # Ray would wait for them for ever
             raise DmbenchError(
@@ -170,6 +175,11 @@ class RayExecutor:
             return bool(self._ray.get(self._ray.remote(num_cpus=1)(_answer).remote(), timeout=_FIRST_ANSWER))
         except self._ray.exceptions.GetTimeoutError:
             return False
+
+
+def _first_line(error: Exception) -> str:
+    """What an error says, without what it says at length."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
 
 
 def _answer() -> bool:

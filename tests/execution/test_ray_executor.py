@@ -163,3 +163,26 @@ def test_a_ray_whose_workers_do_not_answer_is_started_anew_once(ray: PretendRay)
     with pytest.raises(DmbenchError, match=r"started 2 times .* no worker of it answered within 90 s; .*logs'"):
         list(executor.map_unordered(abs, [-1]))
     assert ray.events == ["started", "stopped"] * 2
+
+
+def test_a_ray_that_fails_to_start_is_started_anew_once_and_then_told_of(
+    ray: PretendRay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ray raises a plain ``Exception`` where a busy machine takes it too long."""
+    started = ray.init
+
+    def late(**options: Any) -> None:
+        started(**options)
+        if ray.events.count("started") <= late_starts:
+            raise Exception("The current node timed out during startup. This could happen because\nof much.")  # noqa: TRY002
+
+    monkeypatch.setattr(ray, "init", late)
+    late_starts = 1
+    executor = RayExecutor(2)
+    assert list(executor.map_unordered(abs, [-1])) == [1]
+    assert ray.events == ["started", "stopped", "started", "a job"]
+    ray.events.clear()
+    ray.running, late_starts = False, 2
+    with pytest.raises(DmbenchError, match=r"started 2 times .* it failed \(The current node timed out .*because\);"):
+        list(executor.map_unordered(abs, [-1]))
+    assert ray.events == ["started", "stopped"] * 2

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import secrets
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -26,7 +27,19 @@ from typing import Final
 
 import pyarrow as pa
 
-from dmotion_bench.errors import DatasetError, DmbenchError, JobsLost, PackageNotInstalled, UnknownName, UsageError
+from dmotion_bench.errors import (
+    CacheNotWritable,
+    DatasetError,
+    DmbenchError,
+    FolderInUse,
+    JobsLost,
+    PackageNotInstalled,
+    PlaceUnreachable,
+    RunMissing,
+    StorageFull,
+    UnknownName,
+    UsageError,
+)
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.hardware.threads import not_allowed, using_threads
@@ -35,15 +48,14 @@ from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.gain import GAIN_VERSION, GainScoring
 from dmotion_bench.scoring.prediction import Execution, Progress, silent
 from dmotion_bench.scoring.references import published_results
-from dmotion_bench.scoring.report import SCORING_VERSION
+from dmotion_bench.scoring.report import CONTRACT, REPORT_FILE, REPORT_FOLDER, SCORING_VERSION
 from dmotion_bench.scoring.samples import CONTROL, GAIN
-from dmotion_bench.scoring.score import score_model
+from dmotion_bench.scoring.score import contract_remark, score_model
 from dmotion_bench.scoring.settings import METRICS, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.transfer import report_folder, transfer_folders
 from dmotion_bench.sharing.wanted import entry_files
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.split import SPLIT_NAMES
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 from leaderboard.build import entry_of_run
@@ -58,6 +70,8 @@ from leaderboard.verdict import Findings, Verdict, short
 
 LEAST_RESAMPLES: Final = 100  # of very few draws an interval is as narrow as one likes
 MOST_RESAMPLES: Final = 100_000
+_HERE: Final = (CacheNotWritable, FolderInUse, PlaceUnreachable, StorageFull)
+"""What keeps this machine from checking says nothing against an entry."""
 _SHARED: Final = SharedSamples(on_disk=False)  # what is checked is computed here
 """Of the present process: it computes them once for all entries of a data set that it checks."""
 
@@ -116,14 +130,13 @@ def check_entry(
     except DatasetError as error:
         check.missing.append(f"data set of the training: {error}")
         return check.verdict()
-    split = "test" if asked is None else asked.split
-    folder = report_folder(run.path, run.spec.fingerprint, dataset, split, check.entry.column)
+    folder = report_folder(run.path, run.spec.fingerprint, dataset, column=check.entry.column)
     against_run(check, run, dataset, folder)
     samples = stored_samples(check, folder)
     if asked is None or read is None:
         return check.verdict()
     if samples is not None:
-        against_samples(check, samples, asked)
+        against_samples(check, samples, asked, read)
     how, threads = how or Execution(), run.threads if settings.score else None
     if threads is not None and (told := not_allowed(threads)) is not None:
         check.missing.append(f"threads: {told}")
@@ -146,6 +159,8 @@ def check_entry(
             )
     except (UnknownName, PackageNotInstalled) as error:
         check.missing.append(f"code: {error}")
+    except _HERE as error:
+        check.missing.append(f"this machine: {error}")
     except DmbenchError as error:
         check.wrong.append(f"scoring anew fails: {error}")
     return check.verdict()
@@ -164,6 +179,7 @@ def _score_anew(
     metrics = tuple(name for name in METRICS if name in check.entry.content["settings"]["metrics"] and name != CONTROL)
     scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, shared=shared)
     same_scores(check, scores)
+    check.expect(f"remarks.{CONTRACT}", check.entry.content["remarks"].get(CONTRACT), contract_remark(run, dataset))
     if samples is not None:
         same_samples(check, samples, scores.samples, settings.differing)
         same_pictures(check, take_pictures(run, dataset, scores.samples))
@@ -202,6 +218,8 @@ def check_job(job: CheckJob, on_progress: Progress = silent) -> tuple[int, Verdi
         entry = read_entry(job.path) if job.path.is_file() else entry_of_run(job.path, job.report)
         how, workspace = Execution(progress=show), Workspace(job.workspace)
         verdict = check_entry(entry, workspace, job.settings, how=how, shared=_SHARED)
+    except (RunMissing, *_HERE) as error:  # a run without a report claims nothing
+        verdict = Verdict(entry=job.path.name, findings=(), missing=(str(error),))
     except DmbenchError as error:
         verdict = Verdict(entry=job.path.name, findings=(str(error),))
     finally:
@@ -262,12 +280,23 @@ def check_paths(
                 on_verdict(len(verdicts), len(jobs))
         except JobsLost as lost:
             for job in lost.jobs:
-                verdicts[job.number] = Verdict(entry=job.path.name, findings=(str(lost),))
-    return [verdicts[number] for number in range(len(jobs))]
+                verdicts[job.number] = Verdict(entry=job.path.name, findings=(), missing=(str(lost),))
+    return _told_apart([(job.path, verdicts[job.number]) for job in jobs])
+
+
+def _told_apart(found: Sequence[tuple[Path, Verdict]]) -> list[Verdict]:
+    """The verdicts; where several entries call themselves the same, with the names of their files."""
+    often = Counter(verdict.entry for _, verdict in found)
+    return [
+        replace(verdict, entry=f"{verdict.entry}, {path.name}")
+        if often[verdict.entry] > 1 and path.is_file()
+        else verdict
+        for path, verdict in found
+    ]
 
 
 def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
-    """The entry files that a path stands for, or the run with all its reports.
+    """The entry files that a path stands for, or the run with all the reports that it has.
 
     Raises:
         UsageError: It names an entry's file that is not there.
@@ -281,7 +310,9 @@ def _meant(path: Path, workspace: Workspace) -> list[tuple[Path, Path | None]]:
         build = "'dmbench leaderboard build'"
         raise UsageError(f"there is no entry {shown(str(path))}; {build} writes those of the workspace's runs.")
     run = workspace.run(path)
-    return [(run, None), *((run, folder) for folder in transfer_folders(run))]
+    elsewhere = [(run, folder) for folder in transfer_folders(run)]
+    has_own = (run / REPORT_FOLDER / REPORT_FILE).is_file() or not elsewhere  # else that it has none is said
+    return [(run, None), *elsewhere] if has_own else [*elsewhere]
 
 
 def _against_tables(check: Findings) -> None:
@@ -306,8 +337,6 @@ def _settings(check: Findings) -> ScoreSettings | None:
     given = dict(check.entry.content["settings"])
     known = {one.name for one in fields(ScoreSettings)}
     allowed = {
-        "split": given["split"] in SPLIT_NAMES,
-        "protocol": given["protocol"] in ("episode", "paper"),
         "precision": given["precision"] in ("float32", "bf16"),
         "resamples": type(given.get("resamples")) is int and LEAST_RESAMPLES <= given["resamples"] <= MOST_RESAMPLES,
         "metrics": isinstance(given["metrics"], list),

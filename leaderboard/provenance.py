@@ -36,8 +36,9 @@ def provenance(board: Board) -> Markup | None:
         element("h3", "Where the numbers come from"),
         element(
             "p",
-            "Each entry is a JSON file beside this page, with every figure and how it was made. The command of an "
-            "entry scores it again and says whether its figures hold. It needs the run and the data set, in the "
+            "Each entry is a JSON file beside this page, with every figure and how it was made. Building the page "
+            "checked none of them. The command of an entry scores it again and says whether its figures hold. It "
+            "needs the run and the data set, in the "
             "workspace or fetched with ",
             element("code", "--from PLACE"),
             ".",

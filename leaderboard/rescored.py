@@ -26,6 +26,7 @@ from dmotion_bench.scoring.samples import (
 )
 from dmotion_bench.scoring.score import Scores
 from dmotion_bench.scoring.settings import ScoreSettings
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import file_facts
 from leaderboard.comparison import GAIN_CAPTURED, figures_by_samples, sums_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
@@ -66,9 +67,13 @@ def stored_samples(check: Findings, folder: Path) -> pa.Table | None:
     return samples
 
 
-def against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings) -> None:
-    """Compare every figure with the one computed from the stored samples."""
+def against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings, dataset: Dataset) -> None:
+    """Compare every figure with the one computed from the stored samples, which are to be of test episodes."""
     content = check.entry.content
+    predicted = np.isin(column(samples, "metric").astype(str), ("prediction", "rollout"))
+    others = np.setdiff1d(column(samples, "episode")[predicted], dataset.split(settings.split))
+    if len(others) and settings.protocol == "episode":
+        check.wrong.append(f"samples: episode {', '.join(map(str, others[:SHOWN]))} is none of the test's")
     if MODEL in content["reference"]:
         check.wrong.append(f"reference.{MODEL}: the model is no reference")
     stored = np.unique(column(samples, "predictor").astype(str)).tolist()

@@ -18,11 +18,10 @@ from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import CONTRACT, LATER_TRAINING, protocol_of, read_report, training_facts
 from dmotion_bench.scoring.transfer import training_is_here, training_of, transferable
 from dmotion_bench.specs import IMPORTED
-from dmotion_bench.storage.check import cache_damages
+from dmotion_bench.storage.check import cache_damages, labels_state, table_damages
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
-from dmotion_bench.storage.split import SPLIT_NAMES
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import Workspace
 from leaderboard.verdict import SHOWN, Findings
 
@@ -65,6 +64,9 @@ def find_dataset(check: Findings, workspace: Workspace, run: Run | None = None) 
         )
         return None
     chosen = next((dataset for dataset in found if dataset.name == said["name"]), found[0])
+    if labels_state(chosen.path, chosen.manifest, chosen.remote) == "missing":
+        check.missing.append(f"labels: {shown(str(chosen.where))} is here without them, and a check takes them")
+        return None
     check.wrong += [f"data set: {chosen.name}/{damage}" for damage in _damages(chosen)]
     return chosen
 
@@ -88,13 +90,16 @@ def _remote_of(run: Run | None) -> Iterator[Path]:
 
 
 def _damages(dataset: Dataset) -> Iterator[str]:
-    """The files, and the cached frames, that differ from what the fingerprint says."""
+    """The files, and the cached frames, that differ from what the fingerprint says; and tables from the recordings."""
     for index, shard in enumerate(dataset.manifest.shards):
         for kind, facts in ((VIDEO, shard.video), (LABELS, shard.labels)):
             file = shard_path(dataset.path, kind, index)
             if facts is not None and not _is_sound(dataset, kind, index, facts):
                 yield f"{kind}/{file.name} is not what was recorded"
                 return
+    for damage in table_damages(dataset):  # the fingerprint says nothing of them: other tasks would have the same
+        yield f"{damage.file} {damage.what}; mend it with {command('dmbench data repair', dataset.where)}"
+        return
     for damage in cache_damages(dataset):
         yield f"{damage.file} {damage.what}; delete it"
 
@@ -116,8 +121,7 @@ def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
     Raises:
         DatasetError: That takes the data set of the training, which is not there or damaged.
     """
-    split = check.entry.content["settings"]["split"]
-    if dataset.fingerprint == run.spec.fingerprint or split not in SPLIT_NAMES:
+    if dataset.fingerprint == run.spec.fingerprint:
         return dataset
     if not training_is_here(run) and dataset.recipe.environment != IMPORTED:
         check.missing.append(
@@ -125,7 +129,7 @@ def as_read(check: Findings, run: Run, dataset: Dataset) -> Dataset | None:
             "is not there or has changed; record it again, or fetch it with '--from PLACE'"
         )
     try:
-        return transferable(run, dataset, split, check.entry.column)
+        return transferable(run, dataset, "test", check.entry.column)
     except RunMismatch as error:
         check.wrong.append(f"data set: {error}")
     return None
@@ -140,6 +144,8 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect("labels.asked", content["labels"]["asked"], spec.labels)
     check.expect("labels.given", content["labels"]["given"], result.get("labels", {}))
     check.expect("labels.total", content["labels"]["total"], result.get("labels_total", 0))
+    given = sum(content["labels"]["given"].values())
+    check.expect("labels.total, the sum of labels.given", content["labels"]["total"], given)
     check.expect("labels.use", content["labels"].get("use", ""), label_use(spec, model_class(spec.model).supervision))
     elsewhere = dataset.fingerprint != spec.fingerprint
     check.expect("settings.protocol", content["settings"]["protocol"], "episode" if elsewhere else spec.protocol)
@@ -159,8 +165,6 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
     check.expect_figures("reference.paper", content["reference"].get("paper", {}), ours)
     if CONTRACT in content["remarks"]:
         check.remarks.append(f"{CONTRACT}: {content['remarks'][CONTRACT]}")
-    if content["settings"]["split"] != "test":
-        check.remarks.append(f"scored on the {content['settings']['split']} episodes, not on the test's")
     if changed := run.changed_modules:
         check.remarks.append(
             f"the code of the model was changed since the training ({', '.join(changed[:SHOWN])}"

@@ -82,10 +82,13 @@ def write_noise(
     shard_episodes: int = 3,
     spec: EnvSpec | None = None,
     lengths: list[int] | None = None,
+    tasks: int = 0,
 ) -> Dataset:
     """A complete data set of noise."""
     spec, lengths = spec or noise_spec(), lengths or noise_lengths(episodes)
-    recipe = DatasetRecipe(environment="noise", episodes=episodes, frames=max(lengths), shard_episodes=shard_episodes)
+    recipe = DatasetRecipe(
+        environment="noise", episodes=episodes, frames=max(lengths), shard_episodes=shard_episodes, tasks=tasks
+    )
     with DatasetWriter.create_or_resume(path, recipe, spec) as writer:
         for index in writer.missing:
             members = writer.episodes_of(index)

@@ -2,6 +2,7 @@
 
 ::
 
+    contract.py       what somebody's own model breaks of its contract, before its training and where one fails
     datasets.py       open_dataset; a data set whose triplets torch can load
     demonstration.py  demo: everything once, small
     driving.py        a model that somebody drives, action by action

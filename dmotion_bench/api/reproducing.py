@@ -10,12 +10,13 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from dmotion_bench.api.contract import begins_all_the_same, breaches_before, train_rows_explained, with_breach
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.recording import executor_for, record_recipe
 from dmotion_bench.api.scoring import compute_device
 from dmotion_bench.api.settings import DEVICES, EXECUTORS, as_preset, require_one_of, whole
 from dmotion_bench.api.side_by_side import THREADS, Hands, score_at_once
-from dmotion_bench.errors import JobsLost, UsageError
+from dmotion_bench.errors import JobsLost, ModelContractBroken, UsageError
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
@@ -256,14 +257,24 @@ class _Work:
         total = sum(len(one.rows) for one in left)
         if not left:
             return
+        breaches = self._breaches(left)
         with self._executing(len(left)) as (executor, folder):
             jobs = [self._job(one, folder / f"{number}.json") for number, one in enumerate(left)]
-            outcomes = train_jobs(jobs, executor)
+            outcomes = train_jobs(jobs, executor, train_rows_explained)
             self.watch.count("training", 0, total)
             with watching(folder, self.watch.jobs), contextlib.closing(outcomes):
                 for done, outcome in enumerate(outcomes, start=1):
                     self.watch.count("training", done, total)
-                    self._note_outcome(outcome)
+                    self._note_outcome(with_breach(outcome, breaches))
+
+    def _breaches(self, left: Sequence[Training]) -> Mapping[str, ModelContractBroken]:
+        """What models of others break of their contract; each is told before its trainings begin."""
+        datasets = {one.recording.folder: Dataset.open(one.recording.folder) for one in left}
+        asked = ((row.request(one.request), datasets[one.recording.folder]) for one in left for row in one.rows)
+        found = breaches_before(asked, self.workspace)
+        for breach in found.values():
+            self.watch.note(begins_all_the_same(breach))
+        return found
 
     def score(self, column: Column) -> None:
         """Score the runs of a column that lack figures."""

@@ -10,6 +10,12 @@ from typing import Final
 
 import torch
 
+from dmotion_bench.api.contract import (
+    begins_all_the_same,
+    breaches_before,
+    train_rows_explained,
+    with_breach,
+)
 from dmotion_bench.api.scoring import changed_code, compute_device, names_apart
 from dmotion_bench.errors import RunError
 from dmotion_bench.execution.available import available_workers
@@ -140,7 +146,8 @@ def train_every(
         hands: Who trains. Rows of one model and seed are one job.
         train: Trains one run to its end, where this process does it.
         trackers: That are told the curves, where others do it.
-        warn: Told in a sentence of a run, where others do it, whose model was changed since it began.
+        warn: Told in a sentence, where others do it, of a model that breaks its contract before its trainings begin,
+            and of a run whose model was changed since it began.
         loaders: Threads that read the compressed files of a run that streams them, where others do it.
 
     Yields:
@@ -155,12 +162,15 @@ def train_every(
 
         yield from train_table(request, dataset, workspace, train_alone, chosen)
         return
+    breaches = breaches_before(((row.request(request), dataset) for row in chosen), workspace)
+    for breach in breaches.values():
+        warn(begins_all_the_same(breach))
     at_once = _trained_at_once(request, chosen, dataset, workspace, hands, jobs, trackers, loaders)
     with contextlib.closing(at_once) as outcomes:
         for outcome in outcomes:
             if outcome.run is not None:
                 tell_changes(outcome.run, warn)
-            yield outcome
+            yield with_breach(outcome, breaches)
 
 
 def _threads(request: TrainingRequest) -> int:
@@ -197,6 +207,7 @@ def _trained_at_once(
             progress=folder,
             trackers=trackers,
             loaders=loaders,
+            how=train_rows_explained,
         )
         with watching(folder, hands.watch), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):

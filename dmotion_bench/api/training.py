@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import logging
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
+from dmotion_bench.api.contract import begins_all_the_same, breach_before, explaining, explaining_settings
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.runs import Run
 from dmotion_bench.api.settings import (
@@ -21,8 +21,7 @@ from dmotion_bench.api.settings import (
     require_one_of,
     whole,
 )
-from dmotion_bench.entry_points import MODELS, is_built_in
-from dmotion_bench.errors import DmbenchError, ModelContractBroken, RunMissing, UsageError
+from dmotion_bench.errors import RunMissing, UsageError
 from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.execution.processes import place
@@ -39,19 +38,15 @@ from dmotion_bench.learning.runs.start import (
     resolve,
     training_data,
 )
-from dmotion_bench.learning.settings import from_json
 from dmotion_bench.learning.training.beginning import finished_result
 from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.loop import Report
 from dmotion_bench.learning.training.loop import train as train_steps
 from dmotion_bench.learning.training.tracking import require_trackers
-from dmotion_bench.planning.contract import using
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.testing import check_before_training
-from dmotion_bench.testing.declaration import check_class, check_settings
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace, in_workspace
 
@@ -178,32 +173,14 @@ def begin(
         UsageError: The folder holds something else.
         RunMismatch: It holds another run.
     """
-    with _explaining_settings(request.model):
+    with explaining_settings(request.model):
         folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
         raise RunMissing(f"nothing to resume: {str(folder)!r} holds no run; leave out --resume to start one.")
     if not (folder / RUN_MANIFEST).exists() and not is_unused(folder):
         raise UsageError(f"{str(folder)!r} is not empty and holds no run; name another folder with '--out DIR'.")
-    with _explaining_settings(request.model):
+    with explaining_settings(request.model):
         return open_run(request, dataset, folder, workspace)
-
-
-@contextlib.contextmanager
-def _explaining_settings(model: str) -> Iterator[None]:
-    """Say of a request that fails that the model's class declares something wrong, if it does.
-
-    Raises:
-        ModelContractBroken: It does.
-    """
-    try:
-        yield
-    except DmbenchError:
-        raise
-    except Exception:
-        kind = model_class(model)
-        check_class(kind)
-        check_settings(kind)
-        raise
 
 
 def complete(
@@ -254,53 +231,17 @@ def complete(
         finished = finished_result(run, note, warn)
     if finished is not None:
         return finished
-    breach = None if run.last.exists() or is_built_in(MODELS, run.spec.model) else _breach(run.spec)
+    breach = breach_before(run)
     if breach is not None and mine.rank == 0:
-        warn(f"{breach} The training begins all the same.")
+        warn(begins_all_the_same(breach))
     told = shortage(run.threads or 1, available_workers(), mine.local_world)
     if mine.rank == 0 and told is not None:
         warn(told)
     fabric = fabric or launch(device)
-    with _explaining(run.spec.model, breach):
+    with explaining(run.spec.model, breach):
         if mine.rank > 0:
             return train_steps(run, training_data(run, dataset, loaders), fabric, lambda _: None)
         return _train(run, dataset, fabric, progress, trackers, loaders)
-
-
-def _breach(spec: runs.RunSpec) -> ModelContractBroken | None:
-    """In which way the model breaks its contract; found in seconds, where a training may fail after hours."""
-    kind = model_class(spec.model)
-    try:
-        check_before_training(kind, spec.arch, spec.inputs, from_json(kind.Config, spec.config))
-    except ModelContractBroken as error:
-        return error
-    return None
-
-
-@contextlib.contextmanager
-def _explaining(model: str, breach: ModelContractBroken | None) -> Iterator[None]:
-    """Say of a training that fails which line of somebody's own model raised, and whether it breaks the contract.
-
-    Raises:
-        ModelContractBroken: The model is to blame.
-    """
-    naming = contextlib.nullcontext() if is_built_in(MODELS, model) else using(model_class(model))
-    try:
-        with naming:
-            yield
-    except ModelContractBroken as error:
-        if breach is None:
-            raise
-        raise ModelContractBroken(f"the training failed: {error} Before it began: {breach}") from error
-    except DmbenchError:
-        raise
-    except Exception as error:
-        if breach is None or isinstance(error, MemoryError):
-            raise
-        told = (
-            f"the training failed ({type(error).__name__}: {str(error).rstrip('.')}), and its model breaks the contract"
-        )
-        raise ModelContractBroken(f"{told}: {breach}") from error
 
 
 def _train(

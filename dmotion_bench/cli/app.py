@@ -20,7 +20,7 @@ import typer
 
 from dmotion_bench import __version__
 from dmotion_bench.errors import DmbenchError, Interrupted, ProcessLost, UsageError
-from dmotion_bench.execution.processes import LOST, is_led
+from dmotion_bench.execution.processes import LOST, NO_ROOM, is_led
 from dmotion_bench.interrupts import INTERRUPTED, exit_code, received
 from dmotion_bench.storage.atomic import FULL
 from dmotion_bench.storage.limits import LONGEST_TEXT
@@ -186,6 +186,10 @@ def _refused(error: OSError) -> str:
         return (
             f"no space left on the device while writing {what}; free some and run the same command again: "
             "it goes on where it stopped."
+        )
+    if error.errno in NO_ROOM:
+        return (
+            f"this machine has no memory or no process left ({why}); end other programs and run the same command again."
         )
     if error.errno in _DENIED:
         return f"may not write or read {what}: {why}."

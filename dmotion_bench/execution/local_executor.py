@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import os
 import signal
 import sys
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import forkserver, get_context, parent_process, resource_tracker
@@ -14,8 +15,9 @@ from multiprocessing.context import BaseContext
 from threading import Thread
 from typing import Final, cast
 
+from dmotion_bench.errors import DmbenchError
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result, Sendable
-from dmotion_bench.execution.processes import end_with
+from dmotion_bench.execution.processes import NO_ROOM, end_with
 from dmotion_bench.interrupts import received
 
 BEGINNINGS: Final = "dmotion_bench.execution.beginnings"
@@ -46,7 +48,9 @@ class LocalExecutor:
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
         queue = JobQueue(jobs, "a worker process")
-        context, sent = _context(function), Sendable(function)
+        with _starting():
+            context = _context(function)
+        sent = Sendable(function)
         idle: list[ProcessPoolExecutor | None] = [None] * self._workers  # None: not started yet, or killed
         started: list[ProcessPoolExecutor] = []
         running: dict[Future[Result], tuple[ProcessPoolExecutor, int, Job]] = {}
@@ -57,7 +61,8 @@ class LocalExecutor:
                     if (pool := idle.pop()) is None:
                         started.append(pool := _process(context))
                     try:
-                        running[pool.submit(sent, numbered[1])] = (pool, *numbered)
+                        with _starting():
+                            running[pool.submit(sent, numbered[1])] = (pool, *numbered)
                     except BrokenProcessPool:  # killed while it waited
                         idle.append(None)
                         queue.killed(*numbered)
@@ -87,6 +92,25 @@ def _was_ended(error: BaseException | None) -> bool:
     A worker that is asked to end by a signal may come to its end in order, and send back that it was interrupted.
     """
     return isinstance(error, BrokenProcessPool) or (isinstance(error, KeyboardInterrupt) and not received())
+
+
+@contextlib.contextmanager
+def _starting() -> Iterator[None]:
+    """Say in a sentence that a process could not be started.
+
+    Raises:
+        DmbenchError: The system allows no more processes, or has no memory for one; the server of processes ends with
+            an error of its own then, and leaves no more than the end of what it was to say.
+    """
+    try:
+        yield
+    except (OSError, EOFError) as error:
+        if isinstance(error, OSError) and error.errno not in NO_ROOM:
+            raise
+        raise DmbenchError(
+            "no more worker processes can be started on this machine, perhaps for want of memory; run the same "
+            "command again, with fewer '--workers': it goes on where it stopped."
+        ) from error
 
 
 def _context(function: Callable[[Job], Result]) -> BaseContext:

@@ -6,6 +6,7 @@ and tells each its place in environment variables. Where one process ends too ea
 
 from __future__ import annotations
 
+import errno
 import logging
 import os
 import signal
@@ -28,6 +29,8 @@ LOST: Final = 75
 GRACE: Final = 30
 """Seconds that a process has to write its checkpoint after it was asked to end."""
 INTERRUPTIONS: Final = frozenset(128 + number for number in (signal.SIGINT, *ENDING))
+NO_ROOM: Final = (errno.ENOMEM, errno.EAGAIN)
+"""Error numbers of a system that starts no more processes, for want of memory or by a limit."""
 _LOOK_AGAIN: Final = 0.5  # [s]
 _MAIN: Final = "from dmotion_bench.cli import main; main()"
 _AGAIN: Final = "Run the same command again: it goes on from the last checkpoint."

@@ -23,6 +23,7 @@ from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result, Sen
 from dmotion_bench.wording import counted
 from dmotion_bench.workspace import CACHE_VARIABLE
 
+_LOG: Final = logging.getLogger(__name__)
 _USAGE_STATISTICS: Final = "RAY_USAGE_STATS_ENABLED"
 _MORE_MACHINES: Final = "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER"
 """0, on any system: a Ray of this machine alone, whose servers listen on the loopback address and on no other."""
@@ -72,6 +73,7 @@ class RayExecutor:
         try:
             if not ray.is_initialized():
                 self._start()
+            self._tell_of_waiting()
             limit = self._workers or self._most(ray.cluster_resources())
 
             cache = os.environ.get(CACHE_VARIABLE)
@@ -110,6 +112,18 @@ class RayExecutor:
         most = int(resources.get("CPU", 1)) // self._each
         return max(1, min(most, int(resources.get("GPU", 0)) // self._gpus) if self._gpus else most)
 
+    def _tell_of_waiting(self) -> None:
+        """Warn where no machine can run a job: Ray says nothing then, and waits for one that can, perhaps for ever."""
+        wanted = {"CPU": self._each, "GPU": self._gpus}
+        alive = [node["Resources"] for node in self._ray.nodes() if node["Alive"]]
+        if not any(all(has.get(kind, 0) >= count for kind, count in wanted.items()) for has in alive):
+            gpus = f" and {counted(self._gpus, 'GPU')}" if self._gpus else ""
+            _LOG.warning(
+                "no machine of this Ray cluster has the %s%s that each job asks for, so the jobs wait until one joins; "
+                "if none will, stop this command and ask for less ('--threads', '--device cpu').",
+                *(counted(self._each, "processor"), gpus),
+            )
+
     def _start(self) -> None:
         """Start Ray; it would end this process on SIGTERM without tidying up."""
         before = signal.getsignal(signal.SIGTERM)
@@ -124,22 +138,27 @@ class RayExecutor:
             try:
                 _knock(address)
                 self._ray.init(**quiet)
-            except (OSError, ValueError) as error:
+            except Exception as error:  # as below
                 raise DmbenchError(
-                    f"there is no Ray at RAY_ADDRESS={address!r}: {str(error).splitlines()[0]}; start it with "
+                    f"there is no Ray at RAY_ADDRESS={address!r}: {_first_line(error)}; start it with "
                     "'ray start --head', or take the variable away to use this machine's processors."
                 ) from None
             return
         processors = self._workers * self._each if self._workers else max(available_workers(), self._each)
         for _ in range(_STARTS):
-            self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
-            if self._answers():
-                break
+            said = f"no worker of it answered within {_FIRST_ANSWER:.0f} s"
+            try:
+                self._ray.init(num_cpus=processors, include_dashboard=False, **quiet)
+            except Exception as error:  # Ray raises plain ones, such as where a busy machine takes it too long
+                said = f"it failed ({_first_line(error)})"
+            else:
+                if self._answers():
+                    break
             self._ray.shutdown()
         else:
             raise DmbenchError(
-                f"Ray was started {_STARTS} times on this machine, and no worker of it answered within "
-                f"{_FIRST_ANSWER:.0f} s; see '/tmp/ray/session_latest/logs', or use '--executor local'."
+                f"Ray was started {_STARTS} times on this machine, and {said}; see '/tmp/ray/session_latest/logs', or "
+                "use '--executor local'."
             )
         if self._gpus > (found := self._ray.cluster_resources().get("GPU", 0)):  # Ray would wait for them for ever
             raise DmbenchError(
@@ -156,6 +175,11 @@ class RayExecutor:
             return bool(self._ray.get(self._ray.remote(num_cpus=1)(_answer).remote(), timeout=_FIRST_ANSWER))
         except self._ray.exceptions.GetTimeoutError:
             return False
+
+
+def _first_line(error: Exception) -> str:
+    """What an error says, without what it says at length."""
+    return (str(error).strip() or type(error).__name__).splitlines()[0].rstrip(".")
 
 
 def _answer() -> bool:

@@ -176,6 +176,12 @@ def _scores(samples: pa.Table, settings: ScoreSettings) -> Scores:
     )
 
 
+def contract_remark(run: Run, dataset: Dataset) -> str | None:
+    """The remark that a run's predictions break the contract of models; None if they keep it, or the model is ours."""
+    unsound = None if is_built_in(MODELS, run.spec.model) else unsound_prediction(run.model, dataset)
+    return None if unsound is None else f"the model breaks it: {unsound}"
+
+
 def score_run(
     path: AnyPath,
     *,
@@ -254,14 +260,14 @@ def score_run(
                 earlier=samples_of(samples, set(true) - set(metrics)),
                 journal=(journal := folder / CONTROL_JOURNAL),
             )
-            unsound = None if is_ours else unsound_prediction(run.model, dataset)
+            unsound = contract_remark(run, dataset)
         groups = tuple(dict.fromkeys((*true, *metrics)))
         scored = compose_report(run, dataset, scores.figures, scores.reference, settings.to_json(groups))
         if report is not None:
             kept = [name for name in true if name not in metrics]
             scored = replace(scored, versions=versions_with(report, kept, scored.versions))
         if unsound is not None:
-            scored = replace(scored, remarks={**scored.remarks, CONTRACT: f"the model breaks it: {unsound}"})
+            scored = replace(scored, remarks={**scored.remarks, CONTRACT: unsound})
         if lacking is not None:
             scored = replace(scored, remarks={**scored.remarks, "gain": f"not measured: {lacking}"})
         if "control" in metrics:

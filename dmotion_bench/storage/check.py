@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,6 +17,7 @@ from dmotion_bench.storage.mcap_reader import DamagedFile, lost_is_damaged
 from dmotion_bench.storage.remote_copy import RemoteCopy
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, scan_shard, shard_path
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, read_episodes, read_tasks
+from dmotion_bench.storage.tasks import Candidate, tasks_of
 from dmotion_bench.workspace import CACHE
 
 LabelsState = Literal["present", "missing", "none"]
@@ -95,7 +96,7 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
     labels = labels_state(path, manifest, remote)
     there = {} if remote is None else {kind: remote.sizes(kind) for kind in (VIDEO, LABELS)}
     damages += [] if damages else _table_damages(path, manifest)
-    rows = _rows(path, manifest)
+    rows, possible = _rows(path, manifest), list[Sequence[Candidate]]()
     here = None if rows is None else Dataset(path, manifest, rows)
     for index, entry in enumerate(manifest.shards):
         on_progress(index, len(manifest.shards))
@@ -110,9 +111,11 @@ def check_dataset(path: Path, on_progress: Callable[[int, int], None] = lambda _
                 else _remote_damage(remote, kind, index, manifest, there[kind])
             )
         ]
-        found = found or list(_content_damages(path, manifest, here, index, entry, labels))
+        found = found or list(_content_damages(path, manifest, here, index, entry, labels, possible))
         damages += found
     on_progress(len(manifest.shards), len(manifest.shards))
+    if rows is not None and not damages and labels != "missing":
+        damages += _task_damages(path, manifest, rows, possible)
     if rows is not None and not damages:
         damages += cache_damages(Dataset(path, manifest, rows, remote))
     return CheckReport(dataset=path, manifest=manifest, damages=tuple(damages), labels=labels)
@@ -188,6 +191,46 @@ def _remote_table_damages(remote: RemoteCopy) -> Iterator[Damage]:
             yield Damage(file=name, shard=None, what=f"has {there[name]} bytes instead of {facts.size}")
 
 
+def _task_damages(
+    path: Path, manifest: Manifest, rows: EpisodeTable, possible: Sequence[Sequence[Candidate]]
+) -> Iterator[Damage]:
+    """Whether the table of tasks is another than sound shards give; the fingerprint would be the same."""
+    repeats = manifest.replay is None or manifest.replay.identical
+    try:
+        standing = read_tasks(path, manifest, rows.lengths)
+    except DamagedFile as damage:
+        yield Damage(file=TASKS, shard=None, what=str(damage))
+        return
+    if standing != tasks_of(manifest.recipe, rows.sources, possible, repeats=repeats):
+        yield Damage(file=TASKS, shard=None, what="names other tasks than the recordings give")
+
+
+def table_damages(dataset: Dataset) -> Iterator[Damage]:
+    """Tables that say something else than the shards, where these are sound; nothing where the labels are missing."""
+    manifest, possible = dataset.manifest, list[Sequence[Candidate]]()
+    if labels_state(dataset.path, manifest, dataset.remote) == "missing":
+        return
+    for index, entry in enumerate(manifest.shards):
+        if dataset.remote is not None:  # others may have taken its room meanwhile
+            for kind in (VIDEO, LABELS) if entry.labels is not None else (VIDEO,):
+                dataset.remote.shard(kind, index, manifest)
+        try:
+            receipt = scan_shard(dataset.path, manifest.spec, index, labelled=entry.labels is not None)
+        except DamagedFile as damage:
+            yield Damage(file=f"{VIDEO}/{shard_path(dataset.path, VIDEO, index).name}", shard=index, what=str(damage))
+            return
+        if dataset.rows.of_shard(index) != list(receipt.rows):
+            yield _other_episodes(dataset.path, index)
+            return
+        possible += receipt.candidates
+    yield from _task_damages(dataset.path, manifest, dataset.rows, possible)
+
+
+def _other_episodes(path: Path, index: int) -> Damage:
+    shard = f"{VIDEO}/{shard_path(path, VIDEO, index).name}"
+    return Damage(file=EPISODES, shard=None, what=f"describes other episodes than {shard} holds")
+
+
 def cache_damages(dataset: Dataset) -> Iterator[Damage]:
     """Damages of the frame cache where the video itself is sound."""
     file = dataset.cache_file
@@ -210,22 +253,32 @@ def cache_damages(dataset: Dataset) -> Iterator[Damage]:
 
 
 def _content_damages(
-    path: Path, manifest: Manifest, dataset: Dataset | None, index: int, entry: ShardEntry, labels: LabelsState
+    path: Path,
+    manifest: Manifest,
+    dataset: Dataset | None,
+    index: int,
+    entry: ShardEntry,
+    labels: LabelsState,
+    possible: list[Sequence[Candidate]],
 ) -> Iterator[Damage]:
-    """What is wrong with a shard whose hashes are right: the writer's fault, or a forged dataset.json."""
+    """What is wrong with a shard whose hashes are right: the writer's fault, or a forged dataset.json.
+
+    What could be a control task in its episodes is added to ``possible``.
+    """
     name = f"{VIDEO}/{shard_path(path, VIDEO, index).name}"
     try:
         receipt = scan_shard(path, manifest.spec, index, labelled=entry.labels is not None)
     except DamagedFile as damage:
         yield Damage(file=name, shard=index, what=str(damage))
         return
+    possible += receipt.candidates
     if (len(receipt.rows), receipt.frames) != (entry.episodes, entry.frames):
         yield Damage(file=name, shard=index, what="holds other episodes than dataset.json says")
     if dataset is None:
         return
     listed = dataset.rows.of_shard(index)
     if labels != "missing" and listed != list(receipt.rows):  # the shard itself is as it was recorded
-        yield Damage(file=EPISODES, shard=None, what=f"describes other episodes than {name} holds")
+        yield _other_episodes(path, index)
         return
     for row in listed:
         try:

@@ -20,7 +20,10 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Bool, Float, Int, UInt8
+
+from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.split import split_episodes
 
 GOAL_DISTANCE: Final = 29  # frames, the original's
 ENOUGH_INTERACTIONS: Final = 15  # the original's
@@ -103,6 +106,27 @@ def _spaced(found: list[Candidate], last: int) -> tuple[Candidate, ...]:
             spaced.append(one)
             near[max(0, one.start - START_SPACING + 1) : one.start + START_SPACING] = True
     return tuple(spaced)
+
+
+def tasks_of(
+    recipe: DatasetRecipe,
+    sources: Int[np.ndarray, " e"] | None,
+    possible: Sequence[Sequence[Candidate]],
+    *,
+    repeats: bool,
+) -> list[ControlTask]:
+    """The control tasks of a data set, which follow from its recordings alone.
+
+    Args:
+        recipe: Of the data set.
+        sources: Of each episode the number of the recording that it is a part of; None: each is its own.
+        possible: The candidates of each episode.
+        repeats: Whether the same recording gives the same frames; else no task could be begun, and there is none.
+    """
+    if not recipe.tasks or not repeats:
+        return []
+    held_out = split_episodes(recipe.seed, recipe.episodes, sources)["test"]
+    return choose_tasks(dict(enumerate(possible)), set(held_out.tolist()), recipe.tasks)
 
 
 def choose_tasks(found: Mapping[int, Sequence[Candidate]], held_out: Collection[int], count: int) -> list[ControlTask]:

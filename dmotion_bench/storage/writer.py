@@ -34,7 +34,7 @@ from dmotion_bench.storage.shard import (
 )
 from dmotion_bench.storage.split import split_episodes
 from dmotion_bench.storage.tables import EPISODES, TASKS, EpisodeTable, write_episodes, write_tasks
-from dmotion_bench.storage.tasks import choose_tasks
+from dmotion_bench.storage.tasks import tasks_of
 from dmotion_bench.versions import versions, with_earlier
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST
@@ -217,8 +217,7 @@ class DatasetWriter:
         rows = EpisodeTable.of([row for receipt in receipts for row in receipt.rows])
         possible = [found for receipt in receipts for found in receipt.candidates]
         split = split_episodes(self.recipe.seed, self.recipe.episodes, rows.sources)
-        wanted = self.recipe.tasks if replay is None or replay.identical else 0
-        tasks = choose_tasks(dict(enumerate(possible)), set(split["test"].tolist()), wanted)
+        tasks = tasks_of(self.recipe, rows.sources, possible, repeats=replay is None or replay.identical)
         try:
             write_episodes(self.path, rows, split)
             write_tasks(self.path, tasks)

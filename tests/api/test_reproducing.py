@@ -19,7 +19,7 @@ from small_tables import CONTROL, TABLE, Known
 
 import dmotion_bench as dm
 from dmotion_bench import registry
-from dmotion_bench.api import reproducing
+from dmotion_bench.api import contract, reproducing
 from dmotion_bench.cli import progress, reproduce
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
@@ -79,7 +79,7 @@ def done(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
 
     places: list[tuple[Any, str, str]] = [
         (session, "record_shard", "record"),
-        (learning_table, "train_rows", "train"),
+        (contract, "train_rows", "train"),
         (learning_table, "train", "whole trainings"),
         (side_by_side, "score_job", "score"),
         (reproducing, "score_reference_job", "oracle"),

@@ -50,6 +50,9 @@ class PretendRay:
     def cluster_resources(self) -> dict[str, float]:
         return {"CPU": self.processors}
 
+    def nodes(self) -> list[dict[str, Any]]:
+        return [{"Alive": True, "Resources": {"CPU": self.processors}}, {"Alive": False, "Resources": {"CPU": 64}}]
+
     def remote(self, **options: Any) -> Callable[[Callable[[Any], Any]], Any]:
         return lambda function: SimpleNamespace(remote=lambda *job: (function, job))
 
@@ -132,6 +135,24 @@ def test_a_ray_of_this_machine_can_run_what_is_asked_for(ray: PretendRay, monkey
         list(RayExecutor(size=JobSize(gpus=1)).map_unordered(abs, [-1]))
 
 
+@pytest.mark.parametrize(
+    ("size", "told"),
+    [
+        (JobSize(processors=2), ""),
+        (JobSize(processors=4), "has the 4 processors that each job"),
+        (JobSize(gpus=1), "has the 1 processor and 1 GPU that each job"),
+    ],
+)
+def test_jobs_that_no_machine_of_a_running_ray_can_do_are_told_of(
+    ray: PretendRay, caplog: pytest.LogCaptureFixture, size: JobSize, told: str
+) -> None:
+    """Ray itself waits and says nothing; a cluster that grows may get such a machine."""
+    ray.running = True
+    assert list(RayExecutor(2, size).map_unordered(abs, [-1])) == [1]
+    assert len(caplog.messages) == bool(told)
+    assert told in caplog.text
+
+
 def test_a_ray_whose_workers_do_not_answer_is_started_anew_once(ray: PretendRay) -> None:
     ray.silent = 1
     executor = RayExecutor(2)
@@ -140,5 +161,28 @@ def test_a_ray_whose_workers_do_not_answer_is_started_anew_once(ray: PretendRay)
     ray.events.clear()
     ray.running, ray.silent = False, 2
     with pytest.raises(DmbenchError, match=r"started 2 times .* no worker of it answered within 90 s; .*logs'"):
+        list(executor.map_unordered(abs, [-1]))
+    assert ray.events == ["started", "stopped"] * 2
+
+
+def test_a_ray_that_fails_to_start_is_started_anew_once_and_then_told_of(
+    ray: PretendRay, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Ray raises a plain ``Exception`` where a busy machine takes it too long."""
+    started = ray.init
+
+    def late(**options: Any) -> None:
+        started(**options)
+        if ray.events.count("started") <= late_starts:
+            raise Exception("The current node timed out during startup. This could happen because\nof much.")  # noqa: TRY002
+
+    monkeypatch.setattr(ray, "init", late)
+    late_starts = 1
+    executor = RayExecutor(2)
+    assert list(executor.map_unordered(abs, [-1])) == [1]
+    assert ray.events == ["started", "stopped", "started", "a job"]
+    ray.events.clear()
+    ray.running, late_starts = False, 2
+    with pytest.raises(DmbenchError, match=r"started 2 times .* it failed \(The current node timed out .*because\);"):
         list(executor.map_unordered(abs, [-1]))
     assert ray.events == ["started", "stopped"] * 2

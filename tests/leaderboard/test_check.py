@@ -180,7 +180,6 @@ def test_what_is_not_here_makes_an_entry_neither_sound_nor_wrong(
         ("settings", {"resamples": 3}, "settings.resamples is 3"),
         ("settings", {"resamples": 10**12}, "settings.resamples is"),
         ("settings", {"protocol": "paper"}, "settings.protocol: "),
-        ("settings", {"split": "training"}, "settings.split is"),
         ("settings", {"precision": "int8"}, "settings.precision is"),
         ("settings", {"control_column": "x" * 300}, "settings.control_column is 'xxx"),  # longer than a file's name
     ],
@@ -234,13 +233,13 @@ def test_published_rows_are_held_against_the_table() -> None:
 
 def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entry, tmp_path: Path) -> None:
     folder = tmp_path / "entries"
-    write_entry(sound, folder)
+    sent = write_entry(sound, folder)
     (folder / "broken.json").write_text("{")
 
     verdicts = check_paths([folder, Path(RUN)], workspace, quick=True)
 
-    assert {verdict.entry: verdict.holds for verdict in verdicts} == {"broken.json": False, RUN: True}
-    assert len(verdicts) == 3
+    assert [verdict.entry for verdict in verdicts] == ["broken.json", f"{RUN}, {sent.name}", RUN]
+    assert [verdict.holds for verdict in verdicts] == [False, True, True]
 
 
 def test_the_folder_of_a_page_stands_for_its_entries(tmp_path: Path) -> None:

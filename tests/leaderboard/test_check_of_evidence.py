@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -10,15 +12,23 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 import torch
 
+from dmotion_bench.errors import CacheNotWritable, StorageFull
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.report import write_report
 from dmotion_bench.scoring.samples import SCHEMA, read_samples
 from dmotion_bench.scoring.shared_samples import SharedSamples
+from dmotion_bench.scoring.soundness import TOGETHER
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.shard import file_facts
+from dmotion_bench.storage.tables import EPISODES
 from dmotion_bench.workspace import Workspace
+from leaderboard import check
 from leaderboard.build import entry_of_run
 from leaderboard.check import CheckSettings, check_entry
 from leaderboard.entry import Entry
@@ -146,6 +156,87 @@ def test_a_changed_data_set_is_found(workspace: Workspace, sound: Entry, kind: s
 
     findings = check_entry(sound, workspace, QUICK).findings
     assert any(f"{kind}/{path.name} is not what was recorded" in finding for finding in findings)
+
+
+def test_labels_that_the_run_miscounts_as_its_entry_does_are_found(workspace: Workspace, changed: Changed) -> None:
+    manifest = json.loads((workspace.runs / RUN / "run.json").read_text())
+    manifest["result"]["labels_total"] = 1
+    (workspace.runs / RUN / "run.json").write_text(json.dumps(manifest))
+    forged = changed(labels={"asked": "one-shot", "given": {"demonstrations": 4}, "total": 1})
+
+    findings = check_entry(forged, workspace, QUICK).findings
+    assert findings == ("labels.total, the sum of labels.given: the entry says 1, it is 4",)
+
+
+def test_a_report_of_validation_episodes_that_calls_itself_the_test_s_is_found(workspace: Workspace) -> None:
+    validation = Dataset.open(workspace.data / "grid_world-tiny").split("validation").tolist()
+
+    def of_validation(rows: list[dict[str, Any]]) -> None:
+        of = dict(zip(sorted({row["episode"] for row in rows}), validation, strict=False))
+        for row in rows:
+            row["episode"] = of.get(row["episode"], row["episode"])
+
+    findings = check_entry(_rewritten(workspace.runs / RUN, of_validation), workspace, QUICK).findings
+    assert len(findings) == 1
+    assert findings[0].startswith(f"samples: episode {validation[0]}, ")
+
+
+def test_a_broken_contract_that_report_and_entry_conceal_is_found(
+    workspace: Workspace, sound: Entry, shared: SharedSamples, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of a model that looks at the other frames of a batch, figures are no better than its author wants."""
+    monkeypatch.setattr("dmotion_bench.scoring.score.is_built_in", lambda *_: False)
+    assert check_entry(sound, workspace, shared=shared).holds
+    monkeypatch.setattr("dmotion_bench.scoring.score.unsound_prediction", lambda *_: TOGETHER)
+
+    [finding] = check_entry(sound, workspace, shared=shared).findings
+    assert finding.startswith(
+        "remarks.contract: the entry says None, it is 'the model breaks it: predict gives a frame"
+    )
+
+
+@pytest.mark.parametrize("error", [StorageFull("no space left."), CacheNotWritable("the cache can be kept nowhere.")])
+def test_what_this_machine_lacks_is_not_held_against_an_entry(
+    workspace: Workspace, sound: Entry, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(check, "score_model", fail)
+    verdict = check_entry(sound, workspace)
+    assert (verdict.findings, verdict.missing) == ((), (f"this machine: {error}",))
+
+
+def test_a_data_set_without_its_labels_leaves_an_entry_unchecked(workspace: Workspace, sound: Entry) -> None:
+    shutil.rmtree(workspace.data / "grid_world-tiny" / "labels")
+    verdict = check_entry(sound, workspace, QUICK)
+    assert verdict.findings == ()
+    assert [one.partition(":")[0] for one in verdict.missing] == ["labels"]
+
+
+def test_a_run_without_a_report_is_not_checked(workspace: Workspace) -> None:
+    shutil.rmtree(workspace.runs / RUN / "report")
+    [verdict] = check.check_paths([Path(RUN)], workspace)
+    assert verdict.findings == ()
+    assert "has no whole report; score it with" in verdict.missing[0]
+
+
+def test_a_forged_table_of_a_data_set_is_found(workspace: Workspace, sound: Entry) -> None:
+    """Its fingerprint says nothing of the tables: only the recordings do."""
+    dataset = Dataset.open(workspace.data / "grid_world-tiny")
+    table = pq.read_table(dataset.path / EPISODES)
+    place = table.schema.get_field_index("seed")
+    forged = table.set_column(place, table.schema.field(place), pc.add(table["seed"], 1))
+    pq.write_table(forged, dataset.path / EPISODES, compression="zstd")
+    tables = {**dataset.manifest.tables, EPISODES: file_facts(dataset.path / EPISODES)}
+    dataclasses.replace(dataset.manifest, tables=tables).write(dataset.path)
+    assert Dataset.open(dataset.path).fingerprint == dataset.fingerprint
+
+    [finding] = check_entry(sound, workspace, QUICK).findings
+    assert finding.startswith(
+        "data set: grid_world-tiny/episodes.parquet describes other episodes than video/shard-0000"
+    )
+    assert "dmbench data repair" in finding
 
 
 def test_a_copy_of_the_data_set_under_another_name_is_not_taken_for_it(workspace: Workspace, sound: Entry) -> None:

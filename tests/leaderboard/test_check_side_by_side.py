@@ -58,10 +58,10 @@ def test_a_killed_worker_changes_no_verdict(
     assert counted == [(done, 6) for done in range(7)]
 
 
-def test_a_lost_job_is_found_at_its_entry_alone(entries: Path, tmp_path: Path) -> None:
+def test_an_entry_whose_job_is_lost_is_not_checked(entries: Path, tmp_path: Path) -> None:
     found = check_paths([entries], Workspace(tmp_path / "nowhere"), executor=Losing())
     in_turn = check_paths([entries], Workspace(tmp_path / "nowhere"))
-    assert found[0].findings == ("a worker was killed.",)
+    assert (found[0].findings, found[0].missing) == ((), ("a worker was killed.",))
     assert found[1:] == in_turn[1:]
 
 
@@ -106,3 +106,13 @@ def test_the_command_says_the_same_for_any_workers(
     assert (alone.code, alone.out) == (ray.code, ray.out)
     assert alone.code == 1
     assert not list(tmp_path.glob(".jobs-*"))
+
+
+def test_entries_that_call_themselves_the_same_are_told_apart_by_their_files(
+    sound: Entry, changed: Any, tmp_path: Path
+) -> None:
+    folder = tmp_path / "entries"
+    for number, entry in enumerate((sound, changed(seed=5), changed(run="another"))):
+        write_entry(entry, folder).rename(folder / f"sent-{number}.json")
+    names = [verdict.entry for verdict in check_paths([folder], Workspace(tmp_path / "nowhere"))]
+    assert names == [f"{sound.name}, sent-0.json", f"{sound.name}, sent-1.json", "another"]

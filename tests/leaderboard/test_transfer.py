@@ -102,6 +102,9 @@ def test_a_sound_entry_holds(workspace: Workspace, transferred: Entry) -> None:
     assert check_entry(transferred, workspace).findings == ()
     verdicts = check_paths([Path(RUN)], workspace, quick=True)
     assert [verdict.findings for verdict in verdicts] == [(), ()]  # its own report, and this one
+    (workspace.runs / RUN / "report" / "report.json").unlink()
+    [verdict] = check_paths([Path(RUN)], workspace, quick=True)
+    assert verdict.holds  # a run that was scored elsewhere alone lacks nothing
 
 
 @pytest.mark.parametrize(

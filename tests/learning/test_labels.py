@@ -118,6 +118,11 @@ def test_all_labels_are_a_share() -> None:
     assert LabelRequest.parse("all") == LabelRequest.parse("100%")
 
 
+def test_more_transitions_than_there_are_is_all_of_them() -> None:
+    asked = ("64", "65", "50%", "none", "99-shot")
+    assert [str(LabelRequest.parse(text).of(64)) for text in asked] == ["64", "100%", "50%", "none", "99-shot"]
+
+
 def test_continuous_actions_are_counted_by_transitions() -> None:
     for supervision in Supervision:
         with pytest.raises(UsageError, match=r"dx \(-1 to 1 m\).*--labels 64"):

@@ -31,6 +31,8 @@ from dmotion_bench.workspace import Workspace
         ("idm-ed-cnn", "100%", "idm-ed-cnn-walk-test-small-100pct-s0"),
         ("ed-cnn", "100%", "ed-cnn-walk-test-small-s0"),
         ("ed-cnn", "64", "ed-cnn-walk-test-small-64-s0"),
+        ("ed-cnn", "1000000", "ed-cnn-walk-test-small-s0"),  # more than there are is all
+        ("dmotion", "1000000", "dmotion-walk-test-small-100pct-s0"),
     ],
 )
 def test_each_budget_has_a_folder_of_its_own(recorded, tmp_path, model, labels, name) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 from collections.abc import Callable, Sequence
@@ -16,11 +17,13 @@ from noise_world import assert_same_episode, files_of, noise_episode, noise_leng
 from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch
 from dmotion_bench.recording.restore import repair_dataset
 from dmotion_bench.specs import DatasetRecipe, SplitName
-from dmotion_bench.storage.check import check_dataset
+from dmotion_bench.storage.check import check_dataset, table_damages
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.repair import salvage
-from dmotion_bench.storage.shard import Footage
+from dmotion_bench.storage.shard import Footage, file_facts
 from dmotion_bench.storage.split import split_episodes
+from dmotion_bench.storage.tables import TASKS, write_tasks
 from dmotion_bench.storage.writer import DatasetWriter
 
 
@@ -69,6 +72,24 @@ def test_tables_are_made_again_byte_for_byte(tmp_path: Path) -> None:
     flip(path / "episodes.parquet")
     (path / "tasks.parquet").unlink()
     assert [one.file for one in check_dataset(path).damages] == ["episodes.parquet"]
+    assert repair_dataset(path).how == "restored"
+    assert files_of(path) == before
+
+
+def test_easier_tasks_than_the_recordings_give_are_found_and_made_again(tmp_path: Path) -> None:
+    """With a manifest that agrees the fingerprint is the same, and so would be the board of the leaderboard."""
+    honest = write_noise(tmp_path / "d", tasks=3)
+    path, before = honest.path, files_of(honest.path)
+    easier = [task._replace(goal=task.start + 1) for task in honest.tasks()]
+    write_tasks(path, easier)
+    manifest = Manifest.read(path)
+    dataclasses.replace(manifest, tables={**manifest.tables, TASKS: file_facts(path / TASKS)}).write(path)
+    forged = Dataset.open(path)
+    assert (forged.fingerprint, forged.tasks()) == (honest.fingerprint, easier)
+    assert easier
+    [damage] = check_dataset(path).damages
+    assert (damage.file, damage.what) == (TASKS, "names other tasks than the recordings give")
+    assert list(table_damages(forged)) == [damage]
     assert repair_dataset(path).how == "restored"
     assert files_of(path) == before
 

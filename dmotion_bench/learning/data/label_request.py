@@ -66,6 +66,10 @@ class LabelRequest:
             return many if self.kind == "shots" else many + PER_AGENT
         return f"{self.amount:.0f}" if self.kind == "count" else f"{_percentage(self.amount)}%"
 
+    def of(self, transitions: int) -> LabelRequest:
+        """What is asked for where there are so many transitions: more than there are is all of them."""
+        return LabelRequest("share", 1) if self.kind == "count" and self.amount > transitions else self
+
     @classmethod
     def for_model(
         cls, model: str, supervision: Supervision, asked: str | None, actions: ActionSpec | None = None

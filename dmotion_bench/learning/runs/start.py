@@ -79,6 +79,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
             raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
         if request.labels is None:
             labels = LabelRequest("none")
+    labels = labels.of(int((dataset.lengths - 1).sum()))
     preset = request.preset or _preset_of(dataset)
     if given := next((setting for setting in request.settings if setting.startswith("arch=")), None):
         raise UsageError(

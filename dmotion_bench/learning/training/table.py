@@ -14,6 +14,7 @@ import dataclasses
 import itertools
 import socket
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -65,6 +66,11 @@ class Row:
     model: str
     labels: str
     seed: int | None = None
+
+    def request(self, common: TrainingRequest) -> TrainingRequest:
+        """What is asked for, where something else is the same for all rows."""
+        seed = common.seed if self.seed is None else self.seed
+        return dataclasses.replace(common, model=self.model, labels=self.labels or None, seed=seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,9 +130,7 @@ def train_table(
     for row in rows(dataset) if chosen is None else chosen:
         run = None
         try:
-            seed = request.seed if row.seed is None else row.seed
-            wanted = dataclasses.replace(request, model=row.model, labels=row.labels or None, seed=seed)
-            run = open_run(wanted, dataset, None, workspace)
+            run = open_run(row.request(request), dataset, None, workspace)
             train(run)
         except StorageFull:
             raise
@@ -210,17 +214,24 @@ class RowResult:
             return None
 
 
-def train_rows(job: TableJob) -> list[RowResult]:
-    """Train the rows of a job in the present process, which computes with as many threads as before afterwards."""
+def train_rows(
+    job: TableJob, around: Callable[[Run], AbstractContextManager[object]] = lambda _: contextlib.nullcontext()
+) -> list[RowResult]:
+    """Train the rows of a job in the present process, which computes with as many threads as before afterwards.
+
+    Args:
+        job: Its rows.
+        around: Entered for each run that is trained; it may say better what goes wrong.
+    """
     before = torch.get_num_threads()
     torch.set_num_threads(job.threads)
     try:
-        return _rows_trained(job)
+        return _rows_trained(job, around)
     finally:
         torch.set_num_threads(before)
 
 
-def _rows_trained(job: TableJob) -> list[RowResult]:
+def _rows_trained(job: TableJob, around: Callable[[Run], AbstractContextManager[object]]) -> list[RowResult]:
     told = ProgressFile(job.progress)
     try:
         dataset = _dataset_here(job)
@@ -229,8 +240,10 @@ def _rows_trained(job: TableJob) -> list[RowResult]:
 
     def complete(run: Run) -> None:
         if finished_result(run) is None:
-            fabric, data = launch(job.device), training_data(run, dataset, job.loaders)
-            train(run, data, fabric, lambda report: told.tell(_said(run, report)), job.trackers)
+            fabric = launch(job.device)
+            with around(run):
+                data = training_data(run, dataset, job.loaders)
+                train(run, data, fabric, lambda report: told.tell(_said(run, report)), job.trackers)
 
     try:
         outcomes = list(train_table(job.request, dataset, Workspace(job.workspace), complete, job.rows))
@@ -254,6 +267,7 @@ def train_side_by_side(
     progress: Path | None = None,
     trackers: tuple[str, ...] = (),
     loaders: int | None = None,
+    how: Callable[[TableJob], list[RowResult]] = train_rows,
 ) -> Generator[Outcome]:
     """Train every row, several models and seeds at a time; the outcomes come as they are ready.
 
@@ -268,6 +282,7 @@ def train_side_by_side(
         progress: A folder in which the jobs say how far they are (``job_progress.watching``); None: nowhere.
         trackers: See ``train``.
         loaders: Threads of each that read the compressed files of a run that streams them; None for the usual number.
+        how: Does a job.
     """
     jobs = [
         TableJob(
@@ -283,7 +298,7 @@ def train_side_by_side(
         )
         for (model, seed), own in itertools.groupby(chosen, key=job_of)
     ]
-    yield from train_jobs(jobs, executor)
+    yield from train_jobs(jobs, executor, how)
 
 
 def job_of(row: Row) -> tuple[str, int | None]:
@@ -291,12 +306,19 @@ def job_of(row: Row) -> tuple[str, int | None]:
     return row.model, row.seed
 
 
-def train_jobs(jobs: Sequence[TableJob], executor: Executor) -> Generator[Outcome]:
+def train_jobs(
+    jobs: Sequence[TableJob], executor: Executor, how: Callable[[TableJob], list[RowResult]] = train_rows
+) -> Generator[Outcome]:
     """Do jobs of several tables, too; the outcomes of all their rows come as they are ready.
 
     Those of jobs whose workers were killed again and again come last.
+
+    Args:
+        jobs: To be done.
+        executor: Runs them.
+        how: Does one; a function of a module, which other processes can import.
     """
-    results = executor.map_unordered(train_rows, jobs)
+    results = executor.map_unordered(how, jobs)
     with contextlib.closing(results):
         try:
             for found in results:

@@ -1,8 +1,9 @@
 """Readers of recordings that are forked off one that has loaded everything.
 
 An import starts a process that reads (``confinement.py``), and most imports of the tests take less time than that
-process takes to start. Here it begins with what ``python -m dmotion_bench.storage.imports.confined_reader`` has loaded
-when it reads its first request. Processes that the tests start, and their workers, start theirs as always.
+process takes to start. Here it begins with what ``python -m dmotion_bench.storage.imports.confined_reader`` loads, and
+with the libraries that recordings of each kind need. Processes that the tests start, and their workers, start theirs as
+always.
 """
 
 from __future__ import annotations
@@ -57,6 +58,9 @@ while True:
 """
 """Given two pipes it forks a reader and tells its number; given a number it tells how that reader ended."""
 
+SERVERS: Final = set[int]()
+"""Numbers of the processes that fork readers."""
+
 start_cold = Confinement._start
 
 
@@ -103,6 +107,7 @@ def _door(_process: int) -> socket.socket:
         server = start_cold(Confinement(ImportOptions(), (*READER[:3], "-c", SERVER, place)), Path(place))
         door, _ = entrance.accept()
     door.settimeout(None)
+    SERVERS.add(server.pid)
     atexit.register(_close, door, server)
     return door
 

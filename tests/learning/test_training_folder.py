@@ -114,9 +114,7 @@ def test_settings_are_compared_with_what_another_command_has_begun_meanwhile(rec
 @pytest.mark.slow
 def test_conditions_are_those_that_another_command_has_begun_with(recorded, tmp_path) -> None:
     def asked(**request: int) -> Run:
-        short = TrainingRequest(
-            model="ed-cnn", labels="100%", settings=("batch_size=4", "epochs=0.1", "validations=1"), **request
-        )
+        short = TrainingRequest(model="ed-cnn", labels="100%", settings=("epochs=0.1", "validations=1"), **request)
         return open_run(short, Dataset.open(recorded), tmp_path / "run", Workspace(tmp_path))
 
     run = asked()

@@ -15,7 +15,7 @@ import itertools
 import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Final, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -38,8 +38,6 @@ SLACK: Final = 1e-6
 ROUNDING: Final = 4 * float(np.finfo(np.float32).eps)
 """Share of its larger bound that comes on top: numbers are computed in 32 bits, and a range may be narrow and far from
 zero. The type of an array does not say in how many bits its numbers were computed."""
-
-ValuesT = TypeVar("ValuesT")
 
 
 @dataclass(frozen=True)

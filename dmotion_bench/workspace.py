@@ -84,11 +84,6 @@ class Workspace:
         """The workspace that was entered or, outside of any, that of this process."""
         return _ENTERED.get() or cls(Path(os.environ.get("DMBENCH_WORKSPACE", ".")))
 
-    @classmethod
-    def given(cls, root: AnyPath | None) -> Workspace:
-        """The workspace that a caller names; without a name that of this process."""
-        return cls.current() if root is None else cls(root)
-
     @contextlib.contextmanager
     def entered(self) -> Iterator[None]:
         """The current workspace within; another thread has its own."""

@@ -7,7 +7,6 @@ of its usual label budget: a model of video has one training under many budgets.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -16,7 +15,7 @@ import numpy as np
 
 from dmotion_bench.scoring.statistics import Estimate, rank_correlation
 from leaderboard.column_table import ColumnTable, RowKey
-from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND
+from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_steps
 from leaderboard.row import USUAL_BUDGETS
 from leaderboard.value import Value
 
@@ -29,7 +28,6 @@ OTHERS: Final[Mapping[str, str]] = {
 }
 FEWEST_ROWS: Final = 8
 """Of fewer a correlation looks certain and says little."""
-_DISTANCE: Final = re.compile(r"control_distance\[(\d+)\]")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,8 +51,7 @@ def agreements(rows: Mapping[RowKey, Mapping[str, Value]], control: ColumnTable 
         control: The board's table of control by columns.
     """
     means = {key: {name: one.mean for name, one in rows[key].items()} for key in _one_of_each(rows)}
-    steps = [int(seen[1]) for own in means.values() for name in own if (seen := _DISTANCE.fullmatch(name))]
-    last = max(steps, default=0)
+    last = max(control_steps(name for own in means.values() for name in own), default=0)
     others = dict(OTHERS) | ({f"control_distance[{last}]": f"distance left after {last} steps"} if last else {})
     if control is not None:
         for column in control.columns:

@@ -11,7 +11,6 @@ keep another's, marked. Rollouts and the gain captured that were measured with o
 
 from __future__ import annotations
 
-import re
 import shlex
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,7 +24,7 @@ from dmotion_bench.scoring.report import CONTRACT
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
 from leaderboard.column_table import ColumnTable, column_table
-from leaderboard.columns import TRUE_MOTION
+from leaderboard.columns import TRUE_MOTION, control_steps
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.efficiency import beside_curves, label_curves
@@ -39,7 +38,6 @@ OTHER_PLANNER: Final = "another planner"
 """Marks a row of control that is not compared."""
 AGENT_MOVES: Final = "agent_moves"
 ORACLE: Final = "oracle"
-_CONTROL: Final = re.compile(r"control_distance\[(\d+)\]")
 _T = TypeVar("_T")
 
 REFERENCE_WORDS: Final = {
@@ -336,9 +334,8 @@ def _planned(figures: Mapping[str, Any] | None) -> bool:
 def _ranked(rows: list[Row]) -> list[Row]:
     """The measured rows, each with its paired difference from the best, and whether it leads in control."""
     names = _all_figures(row for row in rows if not row.planned_otherwise)
-    controlled = sorted((int(found[1]), name) for name in names if (found := _CONTROL.fullmatch(name)))
-    if controlled:
-        rows = _leading(rows, controlled[-1][1])
+    if steps := control_steps(names):
+        rows = _leading(rows, f"control_distance[{steps[-1]}]")
     ranked = [row for row in rows if RANKED_BY in row.figures and not row.unsound]
     if not ranked:
         return rows

@@ -7,7 +7,6 @@ training leaves on each task. Intervals are over tasks and trainings; shares of 
 from __future__ import annotations
 
 import itertools
-import re
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.figures import SUCCESS
 from dmotion_bench.scoring.statistics import Estimate, detectable_difference, wilson
 from dmotion_bench.scoring.trainings import over_trainings, standard_error
+from leaderboard.columns import control_steps
 from leaderboard.comparison import PARTS
 from leaderboard.control import PUBLISHED
 from leaderboard.entry import Entry
@@ -28,7 +28,6 @@ from leaderboard.run_names import unusual_settings, without_seed
 
 SUCCEEDED: Final = "control_success"
 LOST: Final = "control_lost"
-_DISTANCE: Final = re.compile(r"control_distance\[(\d+)\]")
 SOLVED_AT: Final = SUCCESS
 RowKey = tuple[str, str, str]
 """Model, variant and label budget."""
@@ -159,7 +158,7 @@ def _tasks(entry: Entry, figure: str) -> int:
 
 
 def _last(entry: Entry) -> int:
-    return max((int(found[1]) for name in entry.figures if (found := _DISTANCE.fullmatch(name))), default=0)
+    return max(control_steps(entry.figures), default=0)
 
 
 def _key(entry: Entry) -> RowKey:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -139,9 +139,14 @@ def columns_for(figures: Collection[str]) -> list[Column]:
     return chosen + [column for column in _AFTER if column.figure in figures]
 
 
+def control_steps(figures: Iterable[str]) -> list[int]:
+    """After how many steps there is a distance of control, the fewest first."""
+    return sorted({int(found[1]) for name in figures if (found := re.fullmatch(r"control_distance\[(\d+)\]", name))})
+
+
 def control_columns(figures: Collection[str]) -> list[Column]:
     """The columns of a table of control; the first is the distance at the end, which ranks the rows."""
-    steps = sorted(int(found[1]) for name in figures if (found := re.fullmatch(r"control_distance\[(\d+)\]", name)))
+    steps = control_steps(figures)
     chosen = [
         Column(
             figure=f"control_distance[{step}]",

@@ -28,7 +28,7 @@ from typing import Any, Final
 import numpy as np
 from jaxtyping import Float
 
-from dmotion_bench.scoring.statistics import FEWEST_EPISODES, expanded_tail
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES, SEED, expanded_tail
 from dmotion_bench.scoring.trainings import as_factor, widening
 from leaderboard.row import Row
 from leaderboard.value import values_of
@@ -121,13 +121,12 @@ def crossing(labels: Sequence[float], errors: Sequence[float], bound: float) -> 
     return float(2 ** (left + share * (right - left)))
 
 
-def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN, seed: int = 0) -> LabelsNeeded | None:
+def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN) -> LabelsNeeded | None:
     """The figure of a label curve; None if it has no point with all labels, or its points are not of the same frames.
 
     Args:
         points: At least two, in any order.
         within: Share of the error with all labels by which another may be higher.
-        seed: Of the draws.
     """
     points = sorted(points, key=lambda point: point.labels)
     if len(points) < 2 or not points[-1].is_all or any(not point.sums for point in points):
@@ -146,7 +145,7 @@ def labels_needed(points: Sequence[CurvePoint], within: float = WITHIN, seed: in
     errors = [float(one.mean(0).sum() / counts.sum()) for one in totals]
     low = high = None
     if len(counts) >= FEWEST_EPISODES:
-        generator = np.random.default_rng(seed)
+        generator = np.random.default_rng(SEED)
         together = len({tuple(point.seeds) for point in points}) == 1
         drawn = [found(errors) for errors in _drawn(totals, counts, together, generator)]
         tail = expanded_tail(len(counts))

@@ -1,6 +1,7 @@
 """Shape annotations are checked while the tests run, and only then; Ctrl-C reaches the commands that tests start.
 
 Commands write no lines of progress, whose number depends on how busy the machine is. Nothing waits for the disk.
+Recordings are read by processes that are forked (``warm_reader.py``).
 """
 
 from __future__ import annotations
@@ -54,6 +55,10 @@ _hook = jaxtyping.install_import_hook(
     ],
     "shape_check.beartype",
 )
+
+import warm_reader  # noqa: E402
+
+warm_reader.Confinement._start = warm_reader.start
 
 
 def pytest_xdist_auto_num_workers() -> int:

@@ -104,10 +104,15 @@ class Losing:
 
 def kill_confined_readers() -> None:
     """End the processes in which this one has recordings read."""
-    for child in psutil.Process().children():
-        if child.status() != psutil.STATUS_ZOMBIE and any("confined_reader" in word for word in child.cmdline()):
+    from warm_reader import SERVERS
+
+    for child in psutil.Process().children(recursive=True):
+        if child.pid in SERVERS or child.status() == psutil.STATUS_ZOMBIE:
+            continue
+        if any("confined_reader" in word for word in child.cmdline()):
             child.kill()
-            child.wait()
+            while child.is_running() and child.status() != psutil.STATUS_ZOMBIE:
+                time.sleep(0.001)
 
 
 def raises_at_one(number: int) -> int:

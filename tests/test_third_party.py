@@ -86,23 +86,22 @@ def test_the_guides_model_works_from_its_own_package(shell, tmp_path: Path) -> N
         writer.write_shard(0, (noise_episode(number, 5, spec) for number in range(12)))
         writer.finish()
 
-    listed = shell("-c", "from dmotion_bench.registry import model_names; print(*model_names())")
-    assert "tiny-latents" in listed.split()
-    shell("-c", "import test_tiny; test_tiny.test_the_contract_is_kept()")
+    listed = "from dmotion_bench.registry import model_names; print(*model_names())\n"
+    checked = "import test_tiny; test_tiny.test_the_contract_is_kept()"
+    assert "tiny-latents" in shell("-c", listed + checked).split()
     trained = shell("-c", COMMAND, "train", "tiny-latents", "--set", "epochs=1", "--set", "width=8")
     folder = Path(trained.splitlines()[0])
     assert "labels used: 2 of 48" in trained
-    assert shell("-c", ASK, str(folder)).split() == ["tiny_latents", "(2,", "3,", "32,", "32)", "False"]
     used = _blocks("python")[2].replace("runs/tiny-latents-grid_world-small-s0", str(folder))
     used = used.replace("data/grid_world-small", str(data))
-    assert shell("-c", used + "print(tuple(pictures.shape), pictures.dtype)").split()[-1] == "torch.uint8"
+    told = shell("-c", ASK + used + "print(pictures.dtype)", str(folder)).splitlines()
+    assert (told[0], told[-1]) == ("tiny_latents (2, 3, 32, 32) False", "torch.uint8")
 
 
 def test_the_guides_solver_and_objective_plan_from_their_own_package(planner_shell, tmp_path: Path) -> None:
     recipe = DatasetRecipe(environment="grid_world", policy="random", episodes=20, frames=32, tasks=2)
     record_dataset(tmp_path / "data" / "grid", recipe)
     dataset = Dataset.open(tmp_path / "data" / "grid")
-    planner_shell("-c", f"import pytest, test_bright\nwith pytest.warns(match={NO_GOAL!r}): {CHECKED}")
     plan = ("plan", "oracle", "--data", "grid", "--steps", "3", "--planner", "straight", "--json")
     chosen = ("--planner-set", "horizon=2", "--objective", "brightness", "--objective-set", "weight=2")
     said = json.loads(planner_shell("-c", COMMAND, *plan, *chosen))
@@ -111,6 +110,7 @@ def test_the_guides_solver_and_objective_plan_from_their_own_package(planner_she
     assert len(said["actions"]) == 3
     assert dataset.tasks()
     script = (
+        f"import pytest, test_bright\nwith pytest.warns(match={NO_GOAL!r}): {CHECKED}\n"
         "import json; from dmotion_bench.scoring.control import ControlScoring\n"
         "from dmotion_bench.storage.dataset import Dataset\n"
         "chosen = ControlScoring(planner='straight', objective='brightness', objective_set=('weight=2',))\n"

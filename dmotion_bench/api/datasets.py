@@ -159,5 +159,5 @@ def open_dataset(data: AnyPath | None = None, *, workspace: AnyPath | None = Non
         >>> data.video(0).shape, data.video(0).dtype
         ((12, 128, 128, 3), dtype('uint8'))
     """
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     return Dataset.open(place.dataset(data))

@@ -141,7 +141,7 @@ def import_recordings(
         ),
     )
     workers = whole("workers", workers, 1)
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     paths = [Path(one) for one in listed(recordings)]
     folder = default_folder(paths, place) if out is None else Path(out)
     with telling(progress) as tell:
@@ -232,7 +232,7 @@ def export_dataset(
         (20, True, 0.0)
     """
     require_one_of("codec", codec, CODECS)
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     source = Dataset.open(place.dataset(data))
     folder = place.root / "exports" / f"{source.name}-lerobot" if out is None else Path(out)
     os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder talks on stderr, past every log

@@ -111,7 +111,7 @@ def leaderboard_build(
         >>> built.page.as_posix(), built.measured
         ('page/index.html', 1)
     """
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     paths = place.all_runs() if runs is None else [place.run(one) for one in listed(runs)]
     page = built_page(place) if out is None else as_path("folder of a page", out)
     if page.is_file():
@@ -171,7 +171,7 @@ def leaderboard_check(
     """
     require_one_of("executor", executor, EXECUTORS)
     workers, draw, differing = whole("workers", workers, 1), whole("draw", draw, 0), share("differing", differing)
-    home = Workspace.given(workspace)
+    home = Workspace.current()
     built = built_page(home) / "entries"
     if paths is None and not built.is_dir():
         raise UsageError(
@@ -238,7 +238,7 @@ def leaderboard_compare(
         ('mse', 0.0, 'unknown: 2 episodes')
     """
     require_one_of("split", split, ("test", "validation"))
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     dataset = None if data is None else Dataset.open(place.dataset(data))
     models = [_trainings(place, one) for one in (first, second)]
     differences: list[Difference] = leaderboard_part("compare")(*models, dataset, split, warn=warn)

@@ -121,7 +121,7 @@ def plan(
     chosen = control_scoring(
         None, planner, planner_settings, objective, objective_settings, steps=steps, seed=seed, group=1, column=column
     )
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     trial = open_trial(run, task, chosen, place, data)
     if save is None or Path(save).suffix == STRIP:
         return trial.solve(progress=progress, strip=None if save is None else Path(save))

@@ -91,7 +91,7 @@ def record(
         size=whole("size", size, 16, 1024),
         frame_skip=whole("frame_skip", frame_skip, 1),
     )
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     folder = default_folder(recipe, as_preset(preset), place) if out is None else Path(out)
     return record_recipe(recipe, folder, executor_for(recipe, folder, executor, workers), progress)
 

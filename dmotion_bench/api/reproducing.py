@@ -168,7 +168,7 @@ def plan_table(
         preset=None if preset is None else as_preset(preset), seeds=seeds, models=models, worlds=worlds
     )
     require_models(narrowed)
-    plan = Plan(narrowed, name, Workspace.given(workspace))
+    plan = Plan(narrowed, name, Workspace.current())
     for recording in plan.recordings:
         recording.require_own()
     return plan

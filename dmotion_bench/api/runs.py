@@ -198,7 +198,7 @@ def load_run(run: AnyPath | None = None, *, workspace: AnyPath | None = None) ->
         >>> run.spec.model, run.spec.labels
         ('dmotion', 'one-shot')
     """
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     return Run.open(place.run(run))
 
 

@@ -115,7 +115,7 @@ def score(
     require_one_of("split", split, ("test", "validation"))
     require_one_of("precision", precision, ("float32", "bf16"))
     batch_size, tasks = whole("batch_size", batch_size, 1), whole("tasks", tasks, 1)
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     settings = ScoreSettings(
         split=split,
         horizon=whole("horizon", horizon, 1),

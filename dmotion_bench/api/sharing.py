@@ -87,7 +87,7 @@ def share_push(
         >>> [(one.kind, one.name) for one in pushed]
         [('data set', 'grid_world-tiny'), ('run', 'tiny')]
     """
-    here, there = Workspace.given(workspace), open_place(place)
+    here, there = Workspace.current(), open_place(place)
     sources = [_sources(one, here) for one in _some(what)]
     datasets = dict.fromkeys(path for one in sources for path in one.datasets)
     runs = dict.fromkeys(path for one in sources for path in one.runs)
@@ -130,7 +130,7 @@ def share_pull(
         >>> [(one.kind, one.name, one.path.as_posix()) for one in pulled]
         [('run', 'tiny', 'elsewhere/runs/tiny')]
     """
-    here, there = Workspace.given(workspace), open_place(place)
+    here, there = Workspace.current(), open_place(place)
     pulled: list[Pulled] = []
     with telling(progress) as tell:
         told = _telling(tell, "fetching")

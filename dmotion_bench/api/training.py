@@ -148,7 +148,7 @@ def train(
         threads=whole("threads", threads, 1, MOST_THREADS),
         stream=stream,
     )
-    where = Workspace.given(workspace)
+    where = Workspace.current()
     model_class(model)  # a misspelt name is said before anything is loaded
     dataset = Dataset.open(where.dataset(data))
     run = begin(request, dataset, where, None if out is None else Path(out), resume=resume)

@@ -141,7 +141,7 @@ def view(
     animated = file is not None and file.suffix in ANIMATED
     if steps is not None and not animated:
         raise UsageError("steps is for an animation; name its file with save='FILE.gif' or save='FILE.webp'.")
-    place = Workspace.given(workspace)
+    place = Workspace.current()
     asked = listed(what)
     if not asked:
         raise UsageError("nothing is named to be shown; name a data set or a run.")

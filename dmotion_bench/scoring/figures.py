@@ -44,22 +44,17 @@ Bootstraps = Callable[[Any], EpisodeBootstrap]
 
 
 def figures_of(
-    samples: pa.Table,
-    predictor: str,
-    *,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-    fewest: int = FEWEST_EPISODES,
+    samples: pa.Table, predictor: str, *, resamples: int = RESAMPLES, fewest: int = FEWEST_EPISODES
 ) -> Figures:
     """Every figure that can be computed from a predictor's samples; figures without any value are left out.
 
     Args:
         samples: Of any predictors.
         predictor: Whose figures.
-        resamples, seed: Of the draws for the intervals.
+        resamples: How many draws an interval takes.
         fewest: Episodes that an interval takes.
     """
-    bootstrap = partial(EpisodeBootstrap, resamples=resamples, seed=seed, fewest=fewest)
+    bootstrap = partial(EpisodeBootstrap, resamples=resamples, fewest=fewest)
     mine = _where(samples, "predictor", predictor)
     single, rollout, controlled = (_where(mine, "metric", metric) for metric in ("prediction", "rollout", CONTROL))
     found = _single_steps(single, bootstrap) if len(single) else {}

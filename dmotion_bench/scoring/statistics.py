@@ -22,6 +22,9 @@ from scipy.special import ndtr, ndtri, stdtrit
 
 LEVEL = 0.95
 RESAMPLES = 2000
+SEED: Final = 0
+"""Of every draw: the same samples have the same interval."""
+
 FEWEST_PAIRS: Final = 5
 FEWEST_EPISODES: Final = 5
 """That an interval takes. In simulations intervals over 2, 3 and 4 hold the truth in 52, 77 and 86% of the cases."""
@@ -62,20 +65,14 @@ class EpisodeBootstrap:
     Args:
         episodes: Of each sample.
         resamples: Number of draws.
-        seed: Of the draws.
         fewest: Episodes that an interval takes.
     """
 
     def __init__(
-        self,
-        episodes: Shaped[np.ndarray, " n"],
-        *,
-        resamples: int = RESAMPLES,
-        seed: int = 0,
-        fewest: int = FEWEST_EPISODES,
+        self, episodes: Shaped[np.ndarray, " n"], *, resamples: int = RESAMPLES, fewest: int = FEWEST_EPISODES
     ) -> None:
         self._clusters, self._cluster = np.unique(episodes, return_inverse=True)
-        self._resamples, self._seed, self._fewest = resamples, seed, fewest
+        self._resamples, self._fewest = resamples, fewest
 
     def mean(self, values: Float[np.ndarray, " n"]) -> Estimate | None:
         """The mean of samples; those that are NaN or infinite are left out. None if there are no others."""
@@ -157,7 +154,7 @@ class EpisodeBootstrap:
         if len(present) < self._fewest:
             return None, None
         with np.errstate(divide="ignore", invalid="ignore"):
-            drawn = statistic(draws(len(present), self._resamples, self._seed) @ present)
+            drawn = statistic(draws(len(present), self._resamples) @ present)
         drawn = drawn[np.isfinite(drawn)]
         if not len(drawn):
             return None, None
@@ -187,15 +184,13 @@ def wilson(share: float, count: int) -> tuple[float, float]:
     return max(0.0, middle - half), min(1.0, middle + half)
 
 
-def rank_correlation(
-    first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"], *, resamples: int = RESAMPLES, seed: int = 0
-) -> Estimate | None:
+def rank_correlation(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -> Estimate | None:
     """Spearman's rank correlation, with a 95% interval by a bootstrap over the pairs; None of fewer than five pairs."""
     count = len(first)
     if count < FEWEST_PAIRS:
         return None
-    generator = np.random.default_rng([seed, count])
-    rows = generator.integers(count, size=(resamples, count))
+    generator = np.random.default_rng([SEED, count])
+    rows = generator.integers(count, size=(RESAMPLES, count))
     all_of_them = float(_ranked_alike(first[None], second[None])[0])
     drawn = _ranked_alike(first[rows], second[rows])
     known = drawn[np.isfinite(drawn)]
@@ -215,14 +210,14 @@ def _ranked_alike(first: Float[np.ndarray, "r n"], second: Float[np.ndarray, "r 
         return np.where(size > 0, (one * other).sum(1) / size, np.nan)
 
 
-def expanded_tail(clusters: int, level: float = LEVEL) -> float:
-    """Which quantile of the draws bounds the interval: (1 - level) / 2, made smaller for few clusters."""
-    quantile = float(stdtrit(clusters - 1, (1 + level) / 2))
+def expanded_tail(clusters: int) -> float:
+    """Which quantile of the draws bounds the interval: (1 - LEVEL) / 2, made smaller for few clusters."""
+    quantile = float(stdtrit(clusters - 1, (1 + LEVEL) / 2))
     return float(ndtr(-math.sqrt(clusters / (clusters - 1)) * quantile))
 
 
 @lru_cache(maxsize=4)
-def draws(episodes: int, resamples: int, seed: int) -> Float[np.ndarray, "r e"]:
+def draws(episodes: int, resamples: int) -> Float[np.ndarray, "r e"]:
     """The number of times that each draw contains each episode."""
-    generator = np.random.default_rng([seed, episodes])
+    generator = np.random.default_rng([SEED, episodes])
     return generator.multinomial(episodes, np.full(episodes, 1 / episodes), size=resamples).astype(np.float64)

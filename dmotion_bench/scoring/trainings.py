@@ -14,11 +14,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy.special import ndtri, stdtrit
 
-from dmotion_bench.scoring.statistics import FEWEST_EPISODES, LEVEL, RESAMPLES, Estimate, draws, expanded_tail
+from dmotion_bench.scoring.statistics import FEWEST_EPISODES, LEVEL, RESAMPLES, SEED, Estimate, draws, expanded_tail
 
 
 def over_trainings(
-    sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"], *, resamples: int = RESAMPLES, seed: int = 0
+    sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"], *, resamples: int = RESAMPLES
 ) -> Estimate:
     """The mean of several trainings of a model, with an interval over episodes and trainings.
 
@@ -27,11 +27,11 @@ def over_trainings(
     Args:
         sums: Of each training, each episode's sum over its samples.
         counts: Each episode's number of samples.
-        resamples, seed: Of the draws.
+        resamples: How many draws.
     """
     low = high = None
     if len(counts) >= FEWEST_EPISODES:
-        low, high = _bounds(_drawn(sums, counts, widening(sums, counts), resamples, [seed]), len(counts))
+        low, high = _bounds(_drawn(sums, counts, widening(sums, counts), resamples), len(counts))
     return _estimate(sums.mean(axis=0), counts, low, high)
 
 
@@ -41,7 +41,6 @@ def difference_over_trainings(
     counts: Float[np.ndarray, " e"],
     *,
     resamples: int = RESAMPLES,
-    seed: int = 0,
 ) -> Estimate:
     """How much lower the mean of ``second`` is than that of ``first`` on the same samples: first - second, paired.
 
@@ -51,13 +50,13 @@ def difference_over_trainings(
 
     Args:
         first, second: As ``over_trainings`` takes ``sums``; each model has as many trainings as it has.
-        counts, resamples, seed: Likewise.
+        counts, resamples: Likewise.
     """
     low = high = None
     if len(counts) >= FEWEST_EPISODES:
         freedom = _freedom([between(own, counts) / len(own) for own in (first, second)], [len(first), len(second)])
         one, other = (
-            _drawn(own, counts, widening(own, counts, freedom), resamples, [seed, *which])
+            _drawn(own, counts, widening(own, counts, freedom), resamples, *which)
             for own, which in ((first, ()), (second, (1,)))
         )
         low, high = _bounds(one - other, len(counts))
@@ -65,15 +64,15 @@ def difference_over_trainings(
 
 
 def _drawn(
-    sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"], wider: float, resamples: int, seed: list[int]
+    sums: Float[np.ndarray, "k e"], counts: Float[np.ndarray, " e"], wider: float, resamples: int, *which: int
 ) -> Float[np.ndarray, " r"]:
-    """The mean of each draw; ``seed`` begins with that of the episodes, which all models share."""
+    """The mean of each draw: of the episodes that all models share, and of trainings by which model it is."""
     trainings, episodes = sums.shape
-    drawn = draws(episodes, resamples, seed[0])
+    drawn = draws(episodes, resamples)
     means = drawn @ sums.T / (drawn @ counts)[:, None]
     middle: Float[np.ndarray, " r"] = means.mean(axis=1)
     if trainings > 1:
-        generator = np.random.default_rng([seed[0], episodes, trainings, *seed[1:]])
+        generator = np.random.default_rng([SEED, episodes, trainings, *which])
         share = generator.multinomial(trainings, np.full(trainings, 1 / trainings), size=resamples) / trainings
         found = (share * means).sum(axis=1)
         middle = as_factor(found, middle, wider) if (sums >= 0).all() else middle + wider * (found - middle)

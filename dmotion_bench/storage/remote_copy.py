@@ -12,7 +12,7 @@ import contextlib
 import hashlib
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Final
 
@@ -218,7 +218,7 @@ def _room(taken: int, free: int) -> int:
     return int(gigabytes * _GIB)
 
 
-def upload(folder: Path, address: str, on_progress: Callable[[int, int], None] = lambda _done, _total: None) -> None:
+def upload(folder: Path, address: str) -> None:
     """Put a complete data set there; ``dataset.json`` comes last, so no reader takes a part of it for the whole.
 
     What is there already, by what the ``dataset.json`` there says, is not sent again.
@@ -226,7 +226,6 @@ def upload(folder: Path, address: str, on_progress: Callable[[int, int], None] =
     Args:
         folder: Of the data set.
         address: Where it is put.
-        on_progress: Called with the number of files that are there, and of all.
 
     Raises:
         PlaceUnreachable: The storage does not take it.
@@ -237,12 +236,9 @@ def upload(folder: Path, address: str, on_progress: Callable[[int, int], None] =
     changed = [name for name, facts in files.items() if known.get(name) != facts]
     if changed and there:
         store.remove(DATASET_MANIFEST)
-    for done, name in enumerate(files):
-        on_progress(done, len(files) + 1)
-        if name in changed:
-            store.write(folder / name, name)
+    for name in changed:
+        store.write(folder / name, name)
     store.write(folder / DATASET_MANIFEST, DATASET_MANIFEST)
-    on_progress(len(files) + 1, len(files) + 1)
 
 
 def _standing(store: ObjectStore) -> tuple[bool, dict[str, FileFacts]]:

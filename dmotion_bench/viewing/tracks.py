@@ -170,23 +170,16 @@ def log_curve(
     )
 
 
-def log_mark(
-    recording: rr.RecordingStream, path: str, at: int, value: float, *, name: str, color: Color, timeline: str = FRAME
-) -> None:
-    """A mark at one place of a plot."""
+def log_mark(recording: rr.RecordingStream, path: str, frame: int, value: float, *, name: str, color: Color) -> None:
+    """A mark at one frame of a plot."""
     recording.log(
         path, rr.SeriesPoints(names=[name], colors=[color], markers=["diamond"], marker_sizes=[7.0]), static=True
     )
-    recording.send_columns(path, indexes=_index([at], timeline), columns=rr.Scalars.columns(scalars=[value]))
+    recording.send_columns(path, indexes=_index([frame]), columns=rr.Scalars.columns(scalars=[value]))
 
 
 def log_states(
-    recording: rr.RecordingStream,
-    path: str,
-    states: Sequence[str | None],
-    colors: Mapping[str, Color],
-    *,
-    first: int = 0,
+    recording: rr.RecordingStream, path: str, states: Sequence[str | None], colors: Mapping[str, Color]
 ) -> None:
     """A lane of coloured stretches; None is a gap. Only changes are kept."""
     changes = [place for place, state in enumerate(states) if place == 0 or state != states[place - 1]]
@@ -195,9 +188,7 @@ def log_states(
     )
     counts = [int(states[place] is not None) for place in changes]
     columns = rr.StateChange.columns(state=[state for place in changes if (state := states[place]) is not None])
-    recording.send_columns(
-        path, indexes=_index([first + place for place in changes]), columns=columns.partition(counts)
-    )
+    recording.send_columns(path, indexes=_index(changes), columns=columns.partition(counts))
 
 
 def _index(frames: Sequence[int] | Int[np.ndarray, " t"], timeline: str = FRAME) -> list[rr.TimeColumn]:

@@ -35,6 +35,7 @@ _ORIGINS: tuple[tuple[tuple[float, float, float], float], ...] = (
 _FLANGE, _HAND_TURN = 0.107, -np.pi / 4  # link 7 to the hand: [m] along z, [rad] about z
 _HOME = np.array([0.0, -0.2, 0.0, -2.2, 0.0, 2.0, 0.785])  # [rad]
 _HAND_DOWN = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])  # turned: hides the least
+_ITERATIONS = 100
 _WHITE, _DARK = (0.93, 0.94, 0.95), (0.22, 0.22, 0.25)
 
 
@@ -67,14 +68,14 @@ def tip_of(frames: Float[np.ndarray, "9 4 4"]) -> Float[np.ndarray, "3"]:
     return frames[-1, :3, 3] + TIP * frames[-1, :3, 2]
 
 
-def joints_for(tip: Float[np.ndarray, "3"], *, iterations: int = 100) -> Float[np.ndarray, "7"]:
+def joints_for(tip: Float[np.ndarray, "3"]) -> Float[np.ndarray, "7"]:
     """Joint angles [rad] that hold the rod upright with its end at ``tip`` [m].
 
     Damped least squares (Nakamura and Hanafusa 1986), always from the same home pose, so that the arm's pose
     is a function of the tip alone.
     """
     joints = _HOME.copy()
-    for _ in range(iterations):
+    for _ in range(_ITERATIONS):
         frames = link_frames(joints)
         turn = frames[-1, :3, :3]
         miss = 0.5 * np.cross(turn.T, _HAND_DOWN.T).sum(axis=0)  # small-angle rotation still to make

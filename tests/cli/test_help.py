@@ -14,7 +14,7 @@ from pathlib import Path
 import click
 import pytest
 import typer
-from typer.testing import CliRunner
+from click.testing import CliRunner
 
 from dmotion_bench.api.settings import EXECUTORS
 from dmotion_bench.cli import options
@@ -31,14 +31,19 @@ def _paths(command: click.Command, path: tuple[str, ...] = ()) -> Iterator[tuple
         yield from _paths(inner, (*path, name))
 
 
-@pytest.mark.slow
-def test_the_help_of_every_command_is_as_written_down(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def parser() -> click.Command:
+    """The command line, which takes a moment to build."""
+    register_commands()
+    return typer.main.get_command(app)
+
+
+def test_the_help_of_every_command_is_as_written_down(parser: click.Command, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "100")
     monkeypatch.setenv("TERM", "dumb")
-    register_commands()
     pages = []
-    for path in _paths(typer.main.get_command(app)):
-        result = CliRunner().invoke(app, [*path, "--help"], prog_name="dmbench", terminal_width=100)
+    for path in _paths(parser):
+        result = CliRunner().invoke(parser, [*path, "--help"], prog_name="dmbench", terminal_width=100)
         assert result.exit_code == 0, result.output
         pages.append(f"$ dmbench {' '.join([*path, '--help'])}\n{result.output.rstrip()}\n")
     text = "\n".join(pages)
@@ -79,7 +84,8 @@ def test_the_listed_names_are_those_that_there_are() -> None:
 @pytest.mark.parametrize(
     ("option", "names"), [("--planner", options.PLANNERS), ("--objective, --cost", options.OBJECTIVES)]
 )
-def test_help_lists_what_a_choice_allows(command: str, option: str, names: tuple[str, ...]) -> None:
-    register_commands()
-    result = CliRunner().invoke(app, [command, "--help"], prog_name="dmbench", terminal_width=100)
+def test_help_lists_what_a_choice_allows(
+    parser: click.Command, command: str, option: str, names: tuple[str, ...]
+) -> None:
+    result = CliRunner().invoke(parser, [command, "--help"], prog_name="dmbench", terminal_width=100)
     assert f"{option} [{'|'.join(names)}]" in result.output

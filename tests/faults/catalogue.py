@@ -116,7 +116,7 @@ FAULTS = (
         name="intervals over few episodes are not widened",
         file="dmotion_bench/scoring/statistics.py",
         right="return float(ndtr(-math.sqrt(clusters / (clusters - 1)) * quantile))",
-        wrong="return (1 - level) / 2 + 0 * quantile",
+        wrong="return (1 - LEVEL) / 2 + 0 * quantile",
         tests=("tests/scoring/test_statistics.py",),
     ),
     Fault(

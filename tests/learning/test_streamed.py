@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 import shutil
 from collections import Counter
@@ -202,14 +203,13 @@ def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders
     triplets, cached = _streamed(walks, loaders), TripletSet.of_split(walks, "train")
     assert len(triplets) == len(cached)
     order = triplets.order(8, seed=5)
-    batches = StreamedBatches(triplets, order, lambda episode: walks.states(episode).actions, torch.device("cpu"))
+    actions = functools.cache(lambda episode: walks.states(episode).actions)
+    batches = StreamedBatches(triplets, order, actions, torch.device("cpu"))
     read = StreamedBatches(triplets, order, None, torch.device("cpu"), earlier=3)
     reaching = TripletBatches(cached, None, FramesOnDevice(torch.device("cpu"))).reaching_back(3)
-    taken = np.array([walks.states(at).actions[step] for at, step in zip(cached.episode, cached.step, strict=True)])
+    taken = np.array([actions(at)[step] for at, step in zip(cached.episode, cached.step, strict=True)])
     labelled = TripletBatches(cached, taken, FramesOnDevice(torch.device("cpu"))).reaching_back(3)
-    told = StreamedBatches(
-        triplets, order, lambda episode: walks.states(episode).actions, torch.device("cpu"), earlier=3
-    )
+    told = StreamedBatches(triplets, order, actions, torch.device("cpu"), earlier=3)
     for step in range(40):
         index = order.batch(step)
         batches.expect(step, 0, 1)
@@ -218,7 +218,7 @@ def test_batches_are_those_of_the_cache_for_any_number_of_loaders(walks, loaders
         frames = torch.from_numpy(cached.gather(index)).float().permute(1, 0, 4, 2, 3) / 127.5 - 1
         for images, wanted in zip((batch.previous, batch.current, batch.next), frames, strict=True):
             torch.testing.assert_close(images, wanted, atol=1e-6, rtol=0)
-        expected = [walks.states(episode).actions[at] for episode, at in zip(*triplets.places(index), strict=True)]
+        expected = [actions(episode)[at] for episode, at in zip(*triplets.places(index), strict=True)]
         assert batch.action.tolist() == expected
         assert batch.episode.tolist() == triplets.places(index)[0].tolist()
         torch.testing.assert_close(read(index).current, batch.current)  # nothing has to be expected

@@ -14,7 +14,7 @@ from foxglove.channels import RawImageChannel
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from storage.continuous_recordings import AWKWARD, TWIST, bag, bits, imported, json_file, refused, twist, twists
 from storage.foreign import START, raw_image, ros_header, steady, video
-from storage.test_import_hdf5 import robomimic
+from storage.hdf5_files import robomimic
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.storage.dataset import Dataset

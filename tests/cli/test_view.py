@@ -159,7 +159,7 @@ def following_on_a_page(workspace: Path, folder: Path) -> Iterator[tuple[subproc
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_following_on_a_page_ends_when_the_command_is_ended(
     workspace: Path, tmp_path: Path, sign: signal.Signals
 ) -> None:

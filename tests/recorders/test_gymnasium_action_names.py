@@ -25,6 +25,14 @@ def test_a_wrapper_names_the_actions_that_it_exchanges(monkeypatch: pytest.Monke
     assert names("strange_worlds:Mirrored") == Discrete(("right", "left"))
 
 
+def test_actions_are_named_by_the_numbers_that_the_environment_gives_them() -> None:
+    env: Any = strange_worlds.Slider(render_mode="rgb_array")
+    env.action_space = gymnasium.spaces.Discrete(3, start=-1)
+    assert action_spec("signed", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("-1", "0", "1"))
+    env.actions = enum.IntEnum("Actions", {"LEFT": -1, "STAY": 0, "RIGHT": 1})
+    assert action_spec("signed", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("LEFT", "STAY", "RIGHT"))
+
+
 def _of_text() -> Any:
     return enum.Enum("Actions", {"LEFT": "left", "RIGHT": "right"})
 
@@ -41,4 +49,4 @@ def _of_text() -> Any:
 )
 def test_names_of_actions_that_cannot_be_read_are_numbers(named: dict[str, Any]) -> None:
     env = type("Odd", (strange_worlds.Slider,), named)(render_mode="rgb_array")
-    assert action_spec("odd", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("0", "1"))
+    assert action_spec("odd", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("5", "6"))

@@ -57,7 +57,7 @@ def blocks(picture: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 def test_frames_and_actions_are_those_of_gymnasium_itself(tmp_path: Path) -> None:
     dataset = recorded(tmp_path / "data", SLIDER, episodes=3)
-    assert dataset.spec.actions == Discrete(("0", "1"))
+    assert dataset.spec.actions == Discrete(("5", "6"))
     assert dataset.spec.step_ns == 50_000_000
     for episode, row in enumerate(dataset.rows):
         direct = strange_worlds.Slider(render_mode="rgb_array")

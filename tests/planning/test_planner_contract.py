@@ -18,7 +18,7 @@ from dmotion_bench.planning.agents import ModelAgent, OracleAgent
 from dmotion_bench.planning.dynamics.simulator import SimulatorDynamics
 from dmotion_bench.planning.objectives.base import Memoryless, StepCost, taught
 from dmotion_bench.planning.objectives.feature import Feature
-from dmotion_bench.planning.objectives.pixel import Pixel
+from dmotion_bench.planning.objectives.pixel import Pixel, PixelEvaluator
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.tasks import Problem
 from dmotion_bench.storage.dataset import Dataset
@@ -158,6 +158,20 @@ def test_a_solver_that_writes_into_what_it_sees_does_so_for_itself(
     monkeypatch.setattr(CrossEntropy, "plan", writing)
     solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
     assert all(images.any() for images in seen)
+
+
+def test_an_objective_that_writes_into_what_was_done_changes_no_record(
+    problems: list[Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is = solve(OracleAgent(FACTS, SMALL, GridWorld, Pixel()), problems[:2], steps=2)
+    assert as_it_is.actions.any()
+
+    def forging(self: Any, actions: Any, frames: Any) -> None:
+        actions[:] = 0
+
+    monkeypatch.setattr(PixelEvaluator, "observe", forging)
+    found = solve(OracleAgent(FACTS, SMALL, GridWorld, Pixel()), problems[:2], steps=2)
+    np.testing.assert_array_equal(found.actions, as_it_is.actions)
 
 
 def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypatch: pytest.MonkeyPatch) -> None:

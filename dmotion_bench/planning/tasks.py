@@ -185,6 +185,12 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
         LabelsNotAvailable: ``labels/`` is not there; the recorded actions are in it.
     """
     tasks, recipe = dataset.tasks(), dataset.recipe
+    if not tasks and recipe.tasks:
+        raise DatasetError(
+            f"{dataset.name!r} stores none of the {recipe.tasks} control tasks that were asked for: its environment "
+            "does not repeat, or no episode is long enough, as was said at the end of the recording; record another "
+            "environment, or longer episodes with '--frames'."
+        )
     if not tasks:
         raise DatasetError(
             f"{dataset.name!r} stores no control tasks; record a data set with some: "

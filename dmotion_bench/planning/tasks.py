@@ -187,9 +187,9 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
     tasks, recipe = dataset.tasks(), dataset.recipe
     if not tasks and recipe.tasks:
         raise DatasetError(
-            f"{dataset.name!r} stores none of the {recipe.tasks} control tasks that were asked for: its environment "
-            "does not repeat, or no episode is long enough, as was said at the end of the recording; record another "
-            "environment, or longer episodes with '--frames'."
+            f"{dataset.name!r} stores none of the {recipe.tasks} control tasks that were asked for: its environment or "
+            "policy does not repeat, as its recording said, or none of its episodes is long enough, or moves objects; "
+            "record more or longer ones with '--episodes' and '--frames'."
         )
     if not tasks:
         raise DatasetError(

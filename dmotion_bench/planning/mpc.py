@@ -270,7 +270,7 @@ class _Group:
         self.experience.took(actions, frames)
         self._previous = np.where(changed[:, None, None, None], self._current, self._previous)
         self._current = frames
-        self._agent.observe(actions, frames.copy())
+        self._agent.observe(actions.copy(), frames.copy())  # an objective may write into them
         self._show()
 
     def _show(self) -> None:

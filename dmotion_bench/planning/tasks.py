@@ -185,6 +185,12 @@ def load_problems(dataset: ReadableDataset, numbers: Sequence[int] | int | None 
         LabelsNotAvailable: ``labels/`` is not there; the recorded actions are in it.
     """
     tasks, recipe = dataset.tasks(), dataset.recipe
+    if not tasks and recipe.tasks:
+        raise DatasetError(
+            f"{dataset.name!r} stores none of the {recipe.tasks} control tasks that were asked for: its environment or "
+            "policy does not repeat, as its recording said, or none of its episodes is long enough, or moves objects; "
+            "record more or longer ones with '--episodes' and '--frames'."
+        )
     if not tasks:
         raise DatasetError(
             f"{dataset.name!r} stores no control tasks; record a data set with some: "

@@ -54,6 +54,31 @@ def check_objective(
         )
 
 
+class _Remembering(Plane):
+    """The world, which remembers what it has shown."""
+
+    def __init__(self, actions: ActionSpec) -> None:
+        super().__init__(actions)
+        self._showed: list[tuple[Tensor, Tensor]] = []
+
+    def frames(self, state: State) -> Float[Tensor, "n c h w"]:
+        """See ``Plane``."""
+        return self._shows(super().frames(state))
+
+    def features(self, state: State) -> Float[Tensor, "n d"]:
+        """See ``Plane``."""
+        return self._shows(super().features(state))
+
+    def shows_what_it_showed(self) -> bool:
+        """Whether nobody has written into what it showed since it was asked last."""
+        showed, self._showed = self._showed, []
+        return all(same(kept, given) for kept, given in showed)
+
+    def _shows(self, shown: Tensor) -> Tensor:
+        self._showed.append((shown.detach().clone(), shown))
+        return shown
+
+
 class _Trial:
     """An objective at work on the tasks: in each some actions are tried twice in a row, after one real step.
 
@@ -63,7 +88,7 @@ class _Trial:
     """
 
     def __init__(self, objective: Objective, spec: ActionSpec) -> None:
-        self._objective, self._spec, self._world = objective, spec, Plane(spec)
+        self._objective, self._spec, self._world = objective, spec, _Remembering(spec)
         self._every = list(range(len(beginnings())))
 
     def check_pure(self) -> None:
@@ -130,9 +155,12 @@ class _Trial:
         for actions in (taken, nothing):
             frames = drawn(after)
             seen = self._world.observed(after, goals).current
+            done = actions.copy()
             evaluator.observe(actions, frames)
             untouched = np.array_equal(frames, seen)
             self._require(evaluator, "observe", untouched, "wrote into the images that it was given; take copies")
+            untouched = np.array_equal(actions, done, equal_nan=True)
+            self._require(evaluator, "observe", untouched, "wrote into the actions that it was given; take copies")
         return evaluator
 
     def _costs(
@@ -170,6 +198,12 @@ class _Trial:
         untouched = all(map(same, kept, given))
         self._require(
             evaluator, "step", untouched, "wrote into the states, tasks, actions or cost_state given to it; take copies"
+        )
+        self._require(
+            evaluator,
+            "step",
+            self._world.shows_what_it_showed(),
+            "wrote into what dynamics.frames or dynamics.features gave it, which may be the model's state; take copies",
         )
         self._require_rows(evaluator, "step", after, len(task))
         return cost, after

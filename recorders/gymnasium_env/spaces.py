@@ -6,6 +6,7 @@ import contextlib
 from typing import Any, Final
 
 import numpy as np
+from gymnasium import Wrapper
 from gymnasium.spaces import Box, Space
 from gymnasium.spaces import Discrete as DiscreteSpace
 
@@ -29,7 +30,7 @@ def action_spec(name: str, env: Any) -> ActionSpec:
     """
     space: Space[Any] = env.action_space
     if isinstance(space, DiscreteSpace):
-        return Discrete(_names(env, int(space.n)))
+        return Discrete(_names(env, range(int(space.start), int(space.start) + int(space.n))))
     kind = type(space).__name__
     if not isinstance(space, Box):
         raise InvalidSetting(f"the actions of {name!r} are a space of the kind {kind!r}, and {_ALLOWED}; {_WRAP}.")
@@ -56,21 +57,26 @@ def action_spec(name: str, env: Any) -> ActionSpec:
     return Continuous(names=names, low=tuple(low.tolist()), high=tuple(high.tolist()), units=("",) * len(low))
 
 
-def _names(env: Any, count: int) -> tuple[str, ...]:
+def _names(env: Any, numbers: range) -> tuple[str, ...]:
     """What the environment calls its actions: Atari's meanings, an enumeration as in MiniGrid, else their numbers.
 
-    The outermost wrapper that names them is asked, since it may have exchanged them.
+    The outermost wrapper that names them is asked, since it may have exchanged them. What lies below a wrapper with an
+    action space of its own names other actions.
     """
     named: list[str] = []
     with contextlib.suppress(Exception):  # both are customs that nobody has to keep, and numbers do as well
-        if env.has_wrapper_attr("get_action_meanings"):
-            named = [str(name).lower() for name in env.get_wrapper_attr("get_action_meanings")()]
-        elif env.has_wrapper_attr("actions") and hasattr(actions := env.get_wrapper_attr("actions"), "__members__"):
+        while isinstance(env, Wrapper) and not (hasattr(env, "get_action_meanings") or hasattr(env, "actions")):
+            if env.action_space is not env.env.action_space:
+                break
+            env = env.env
+        if hasattr(env, "get_action_meanings"):
+            named = [str(name).lower() for name in env.get_action_meanings()]
+        elif hasattr(actions := env.actions, "__members__"):
             members = {int(one.value): str(one.name) for one in actions}
-            named = [members.get(number, "") for number in range(count)]
-    if len(named) == count and len(set(named)) == count and all(named):
+            named = [members.get(number, "") for number in numbers]
+    if len(named) == len(set(named)) == len(numbers) and all(named):
         return tuple(named)
-    return tuple(map(str, range(count)))
+    return tuple(map(str, numbers))
 
 
 def for_simulator(space: Space[Any], action: Any) -> Any:

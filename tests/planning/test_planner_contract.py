@@ -18,7 +18,7 @@ from dmotion_bench.planning.agents import ModelAgent, OracleAgent
 from dmotion_bench.planning.dynamics.simulator import SimulatorDynamics
 from dmotion_bench.planning.objectives.base import Memoryless, StepCost, taught
 from dmotion_bench.planning.objectives.feature import Feature
-from dmotion_bench.planning.objectives.pixel import Pixel
+from dmotion_bench.planning.objectives.pixel import Pixel, PixelEvaluator
 from dmotion_bench.planning.solvers.cem import CrossEntropy
 from dmotion_bench.planning.tasks import Problem
 from dmotion_bench.storage.dataset import Dataset
@@ -66,8 +66,9 @@ def test_a_plan_may_hold_lists_and_tensors(
 
     def rewritten(*given: Any) -> Any:
         plan = as_it_is(*given)
-        object.__setattr__(plan, "action", written(plan.action))
         object.__setattr__(plan, "memory", written(plan.candidates))
+        for part in ("action", "candidates", "costs", "progress"):
+            object.__setattr__(plan, part, written(getattr(plan, part)))
         return plan
 
     monkeypatch.setattr(CrossEntropy, "plan", rewritten)
@@ -103,9 +104,24 @@ def test_a_memory_is_sequences_of_actions(
         ("frames", None, "says that it predicted None frames; it must be a whole number from 0 on"),
         ("frames", 2.5, "predicted 2.5 frames"),
         ("frames", -1, "predicted -1 frames"),
+        (
+            "candidates",
+            [[[0, 4]]],
+            r"holds the candidates '\[\[\[0, 4\]\]\]'; they must be an array of the shape \(1, seq",
+        ),
+        ("candidates", np.zeros((1, 0, 3), int), "holds the candidates"),
+        ("candidates", [[[0.5]]], "holds the candidates"),
+        (
+            "costs",
+            np.zeros(5),
+            r"holds as its costs float64 of the shape \(5,\); it must be numbers of the shape \(1, 5\)",
+        ),
+        ("costs", np.full((1, 5), np.nan), r"holds costs that are not numbers \(NaN\)"),
+        ("progress", None, r"holds as its progress object of the shape \(\); it must be .* \(1, any number\)"),
+        ("parts", {"risk": np.zeros((1, 2))}, r"holds as its part 'risk' of the costs float64 of the shape \(1, 2\)"),
     ],
 )
-def test_what_no_journal_could_keep_is_refused(
+def test_what_nobody_could_keep_or_show_is_refused(
     problems: list[Problem], part: str, told: Any, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     as_it_is = CrossEntropy.plan
@@ -158,6 +174,20 @@ def test_a_solver_that_writes_into_what_it_sees_does_so_for_itself(
     monkeypatch.setattr(CrossEntropy, "plan", writing)
     solve(OracleAgent(FACTS, SMALL, GridWorld), problems[:1], steps=2)
     assert all(images.any() for images in seen)
+
+
+def test_an_objective_that_writes_into_what_was_done_changes_no_record(
+    problems: list[Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    as_it_is = solve(OracleAgent(FACTS, SMALL, GridWorld, Pixel()), problems[:2], steps=2)
+    assert as_it_is.actions.any()
+
+    def forging(self: Any, actions: Any, frames: Any) -> None:
+        actions[:] = 0
+
+    monkeypatch.setattr(PixelEvaluator, "observe", forging)
+    found = solve(OracleAgent(FACTS, SMALL, GridWorld, Pixel()), problems[:2], steps=2)
+    np.testing.assert_array_equal(found.actions, as_it_is.actions)
 
 
 def test_costs_that_are_no_numbers_are_refused(problems: list[Problem], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -25,6 +25,27 @@ def test_a_wrapper_names_the_actions_that_it_exchanges(monkeypatch: pytest.Monke
     assert names("strange_worlds:Mirrored") == Discrete(("right", "left"))
 
 
+def test_actions_are_named_by_the_numbers_that_the_environment_gives_them() -> None:
+    env: Any = strange_worlds.Slider(render_mode="rgb_array")
+    env.action_space = gymnasium.spaces.Discrete(3, start=-1)
+    assert action_spec("signed", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("-1", "0", "1"))
+    env.actions = _of_numbers(LEFT=-1, STAY=0, RIGHT=1)
+    assert action_spec("signed", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("LEFT", "STAY", "RIGHT"))
+
+
+def test_names_are_not_those_of_the_actions_below_a_wrapper_with_others() -> None:
+    env: Any = strange_worlds.Slider(render_mode="rgb_array")
+    env.action_space = gymnasium.spaces.Discrete(3)
+    env.actions = _of_numbers(LEFT=0, RIGHT=1, STAY=2)
+    backwards = gymnasium.wrappers.TransformAction(env, lambda action: 2 - action, gymnasium.spaces.Discrete(2))
+    assert action_spec("fewer", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("LEFT", "RIGHT", "STAY"))
+    assert action_spec("fewer", gymnasium.wrappers.OrderEnforcing(backwards)) == Discrete(("0", "1"))
+
+
+def _of_numbers(**members: int) -> Any:
+    return enum.IntEnum("Actions", members)
+
+
 def _of_text() -> Any:
     return enum.Enum("Actions", {"LEFT": "left", "RIGHT": "right"})
 
@@ -41,4 +62,4 @@ def _of_text() -> Any:
 )
 def test_names_of_actions_that_cannot_be_read_are_numbers(named: dict[str, Any]) -> None:
     env = type("Odd", (strange_worlds.Slider,), named)(render_mode="rgb_array")
-    assert action_spec("odd", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("0", "1"))
+    assert action_spec("odd", gymnasium.wrappers.OrderEnforcing(env)) == Discrete(("5", "6"))

@@ -21,8 +21,9 @@ from noise_world import files_of
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.environment import ObjectEnvironment, Tier, tier_of
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import DatasetError, InvalidSetting
 from dmotion_bench.execution.local_executor import LocalExecutor
+from dmotion_bench.planning.tasks import load_problems
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.registry import environment_class
@@ -57,7 +58,7 @@ def blocks(picture: np.ndarray, rows: int, columns: int) -> np.ndarray:
 
 def test_frames_and_actions_are_those_of_gymnasium_itself(tmp_path: Path) -> None:
     dataset = recorded(tmp_path / "data", SLIDER, episodes=3)
-    assert dataset.spec.actions == Discrete(("0", "1"))
+    assert dataset.spec.actions == Discrete(("5", "6"))
     assert dataset.spec.step_ns == 50_000_000
     for episode, row in enumerate(dataset.rows):
         direct = strange_worlds.Slider(render_mode="rgb_array")
@@ -208,6 +209,8 @@ def test_what_does_not_repeat_is_recorded_and_said(run: Run, tmp_path: Path) -> 
     assert dataset.manifest.replay is not None
     assert not dataset.manifest.replay.identical
     assert dataset.tasks() == []
+    with pytest.raises(DatasetError, match="none of the 3 control tasks that were asked for: its environment or"):
+        load_problems(dataset)
     assert json.loads(run("gym:Strange/Unseeded-v0", *SMALL, "--tasks", "3", "--json").out)["repeats"] is False
 
 

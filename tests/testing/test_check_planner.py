@@ -224,6 +224,13 @@ def test_continuous_actions_that_do_not_exist_are_found(changed: dict[str, float
         check_solver(type("Overshooting", (Sliding,), changed), actions=CONTINUOUS)
 
 
+def test_a_solver_of_continuous_actions_says_so_where_they_are_discrete() -> None:
+    with pytest.raises(InvalidSetting, match="the solver predicts continuous actions, and these are discrete"):
+        check_solver(Sliding)
+    with pytest.raises(InvalidSetting, match="needs discrete actions, and these are continuous"):
+        check_solver(Dice, actions=CONTINUOUS)
+
+
 def test_settings_are_a_frozen_dataclass_with_defaults() -> None:
     class Plain(Dice):
         pass
@@ -291,8 +298,17 @@ def _carrying_one(self: Any, dynamics: Any, state: Any, task: Any, action: Any, 
     return StepCost.of(self.apart(dynamics, state, task)), (torch.zeros(1),)
 
 
+def _painting(self: Any, dynamics: Any, state: Any, task: Any, action: Any, cost_state: Any) -> Any:
+    shown = dynamics.frames(state)
+    return StepCost.of(shown.sub_(self.goals[task].permute(0, 3, 1, 2) / 127.5 - 1).square().mean(dim=(1, 2, 3))), ()
+
+
 def _blotting(self: Any, actions: Any, frames: Any) -> None:
     frames[:] = 0
+
+
+def _forging(self: Any, actions: Any, frames: Any) -> None:
+    actions[:] = 0
 
 
 @pytest.mark.parametrize(
@@ -304,7 +320,9 @@ def _blotting(self: Any, actions: Any, frames: Any) -> None:
         ("step", _no_number, r"_Near\.step found a cost that is no finite number"),
         ("step", _writing, r"_Near\.step wrote into the states, tasks, actions or cost_state"),
         ("step", _carrying_one, r"_Near\.step carries on a tensor of the shape \[\(1,\)\]; its first axis"),
+        ("step", _painting, r"_Near\.step wrote into what dynamics\.frames or dynamics\.features gave it"),
         ("observe", _blotting, r"_Near\.observe wrote into the images that it was given"),
+        ("observe", _forging, r"_Near\.observe wrote into the actions that it was given"),
     ],
 )
 def test_what_an_objective_breaks_is_found(

@@ -17,13 +17,14 @@ from dmotion_bench.wording import shown
 
 
 def checked_plan(solver: Solver, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
-    """The plan of a solver, its action and its memory as arrays; arguments as of ``Solver.plan``.
+    """The plan of a solver, all that it holds as arrays; arguments as of ``Solver.plan``.
 
     Its memory is what a journal gives back: in 64 bits, and None for one that holds no action.
 
     Raises:
         PlannerContractBroken: The solver raises an error, returns no plan, or no action for each task, counts frames
-            that are no number of them, or remembers something else than sequences of actions.
+            that are no number of them, remembers something else than sequences of actions, or shows candidates that
+            are none, or costs that are not theirs.
     """
     with calling(solver, "plan"):
         plan: Any = solver.plan(dynamics, evaluator, context)
@@ -34,9 +35,17 @@ def checked_plan(solver: Solver, dynamics: Dynamics, evaluator: Evaluator, conte
         raise PlannerContractBroken(
             f"the solver says that it predicted {shown(plan.frames)} frames; it must be a whole number from 0 on."
         )
+    action, candidates = _action(plan.action, spec, tasks), _candidates(plan.candidates, spec, tasks)
+    costs = _numbers("costs", plan.costs, (tasks, candidates.shape[1]))
+    if plan.frames and np.isnan(costs).any():  # of a plan that is carried on without predictions nothing is known
+        raise PlannerContractBroken("the solver's plan holds costs that are not numbers (NaN).")
     return dataclasses.replace(
         plan,
-        action=_action(plan.action, spec, tasks),
+        action=action,
+        candidates=candidates,
+        costs=costs,
+        parts={name: _numbers(f"part {name!r} of the costs", part, costs.shape) for name, part in plan.parts.items()},
+        progress=_numbers("progress", plan.progress, (tasks, None)),
         frames=int(plan.frames),
         memory=_memory(plan.memory, spec, tasks),
     )
@@ -56,6 +65,38 @@ def _action(given: Any, spec: ActionSpec, tasks: int) -> Any:
     if not fits:
         raise PlannerContractBroken(
             f"the solver chooses the actions {shown(str(found.tolist()))}; it must be {wanted}."
+        )
+    return found
+
+
+def _candidates(given: Any, spec: ActionSpec, tasks: int) -> Any:
+    """The best sequences of a plan: one at least for each task, of actions that exist."""
+    found = _array(given)
+    if isinstance(spec, Discrete):
+        fits = found.ndim == 3 and np.issubdtype(found.dtype, np.integer)
+        fits = fits and bool(((found >= 0) & (found < len(spec))).all())
+        wanted = f"({tasks}, sequences, steps), whole numbers from 0 to {len(spec) - 1}"
+    else:
+        fits = found.ndim == 4 and np.issubdtype(found.dtype, np.floating) and found.shape[3] == spec.width
+        fits = fits and are_within(found)
+        wanted = f"({tasks}, sequences, steps, {spec.width}), numbers from -1 to 1"
+    if not (fits and len(found) == tasks and found.size):
+        raise PlannerContractBroken(
+            f"the solver's plan holds the candidates {shown(str(found.tolist()))}; they must be an array of the shape "
+            f"{wanted}."
+        )
+    return found
+
+
+def _numbers(what: str, given: Any, shape: tuple[int, int | None]) -> Any:
+    """Numbers of a plan, a row for each task; with None as many in each as there are."""
+    found = _array(given)
+    fits = found.ndim == 2 and found.dtype.kind in "fiu" and len(found) == shape[0]
+    if not (fits and shape[1] in (None, found.shape[1])):
+        wanted = f"({shape[0]}, {'any number' if shape[1] is None else shape[1]})"
+        raise PlannerContractBroken(
+            f"the solver's plan holds as its {what} {found.dtype} of the shape {found.shape}; it must be numbers of "
+            f"the shape {wanted}, a row for each task."
         )
     return found
 

@@ -11,7 +11,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from dmotion_bench.errors import PlannerContractBroken
+from dmotion_bench.actions import Continuous
+from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
 from dmotion_bench.planning.solvers.base import are_within
@@ -26,11 +27,19 @@ class Rollouts(Search):
         evaluator: Says what they cost.
         observation: Of the tasks, now.
         gradients: Whether ``predict`` is to give gradients.
+
+    Raises:
+        InvalidSetting: The actions are discrete.
     """
 
     def __init__(
         self, dynamics: Dynamics, evaluator: Evaluator, observation: Observation, *, gradients: bool = False
     ) -> None:
+        if not isinstance(dynamics.actions, Continuous):
+            raise InvalidSetting(
+                f"the solver predicts continuous actions, and these are discrete: {dynamics.actions}; take a data set "
+                "with continuous actions, or another solver: '--planner icem'."
+            )
         self._dynamics, self._evaluator, self.frames = dynamics, evaluator, 0
         with torch.no_grad() if gradients else torch.inference_mode():
             self._carried = evaluator.begin(dynamics)

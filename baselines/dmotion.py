@@ -74,7 +74,7 @@ class DMotionConfig(UNetConfig):
             ``"cross_convolution"`` (the ablation DMotion-No-STN).
         kernel: Side of cross convolution's kernels [px of the map].
         motion_std: Standard deviation of the initial weights of the compact motion encoder's last layer. Nothing bounds
-            the kernels of cross convolution: with 0.05 they start far from the one that moves nothing.
+            the kernels of cross convolution: with 0.05 they start far from the one that moves nothing, with 1e-4 near.
         agent_entries: At how many places of the interaction learner the agent's map enters: 3 as in the paper, or 1.
         second_frame: Whether the interaction learner sees x_{t-1}.
         warp, gate_floor, width: Of the interaction learner; compact only. The paper's paints, and has no gate.
@@ -383,9 +383,7 @@ class DMotionNoSTN(DMotion):
     @classmethod
     def configure(cls, arch: str) -> DMotionConfig:
         """A kernel of 27 reaches a grid cell; ``--set kernel=5`` is that of Visual Dynamics."""
-        usual = super().configure(arch)
-        std = usual.motion_std if arch == "paper" else 1e-4
-        return dataclasses.replace(usual, transform="cross_convolution", guide=0.0, motion_std=std)
+        return dataclasses.replace(super().configure(arch), transform="cross_convolution", guide=0.0)
 
 
 def _without_the_tables_module(model: nn.Module, state: dict[str, Any], prefix: str, _: object) -> None:

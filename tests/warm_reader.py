@@ -28,8 +28,9 @@ import av, h5py, pyarrow.compute, pyarrow.parquet
 from dmotion_bench.storage.imports.confined_reader import main
 from dmotion_bench.storage.imports.sources import open_here
 
-def read(pipes):
+def read(pipes, folder):
     door.close()
+    os.chdir(folder)
     for place, pipe in enumerate(pipes):
         os.dup2(pipe, place)
         os.close(pipe)
@@ -38,7 +39,7 @@ def read(pipes):
 door = socket.socket(socket.AF_UNIX)
 door.connect(sys.argv[1])
 while True:
-    told, pipes, *_ = socket.recv_fds(door, 8, 2)
+    told, pipes, *_ = socket.recv_fds(door, 4096, 2)
     if not told:
         break
     if pipes:
@@ -46,7 +47,7 @@ while True:
         if not answer:
             code = 1
             try:
-                read(pipes)
+                read(pipes, told)
                 code = 0
             finally:
                 os._exit(code)
@@ -56,7 +57,7 @@ while True:
         answer = os.waitstatus_to_exitcode(os.waitpid(int.from_bytes(told), 0)[1])
     door.send(answer.to_bytes(8, signed=True))
 """
-"""Given two pipes it forks a reader and tells its number; given a number it tells how that reader ended."""
+"""Given two pipes and a folder it forks a reader there and tells its number; given a number, how that reader ended."""
 
 SERVERS: Final = set[int]()
 """Numbers of the processes that fork readers."""
@@ -70,7 +71,7 @@ class WarmReader:
     def __init__(self, door: socket.socket) -> None:
         requests, to_reader = os.pipe()
         from_reader, answers = os.pipe()
-        socket.send_fds(door, [b"new"], [requests, answers])
+        socket.send_fds(door, [os.fsencode(Path.cwd())], [requests, answers])
         for pipe in (requests, answers):
             os.close(pipe)
         self.pid = int.from_bytes(door.recv(8), signed=True)

@@ -141,6 +141,7 @@ def _hostile(sound: Entry) -> Entry:
             dict(sound.content[name]) if name == "reference" else _everywhere(sound.content[name], names=True)
         )
     content["reference"] = {HOSTILE: content["reference"]["copy_last"]}
+    content["settings"] |= {name: sound.content["settings"][name] for name in ("split", "protocol")}  # of few values
     return Entry(copy.deepcopy(content))
 
 

@@ -118,6 +118,9 @@ def test_threads_share_the_shapes_with_the_bits_of_one_thread_and_their_number_s
             assert torch.get_num_threads() == threads
             with ThreadPoolExecutor(1) as later:
                 assert later.submit(torch.get_num_threads).result() == threads
+            if threads > 1:
+                assert optimizer._threads is not None
+                assert optimizer._threads.submit(torch.get_num_threads).result() == 1
     for name, parameter in single.named_parameters():
         assert torch.equal(parameter, shared.get_parameter(name))
 

@@ -110,11 +110,17 @@ class _Recorded:
 
 def _one_thread_each(count: int) -> ThreadPoolExecutor:
     """So many threads, each of which computes alone: torch divides no product of small matrices among its threads."""
-    pool = ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(1,))
+    pool = ThreadPoolExecutor(count, initializer=_compute_alone)
     begun = threading.Barrier(count)
     list(pool.map(lambda _: begun.wait(), range(count)))
     torch.set_num_threads(count)  # of threads that are still to come, too: theirs counted for those
     return pool
+
+
+def _compute_alone() -> None:
+    """Let this thread compute without others."""
+    torch.get_num_threads()  # first: when a thread asks first, torch gives it the number that holds for new threads
+    torch.set_num_threads(1)
 
 
 class Muon(torch.optim.Optimizer):

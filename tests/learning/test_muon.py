@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import copy
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
 import torch
 from torch import Tensor, nn
 
-from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.training.muon import FEW, ITERATIONS, NEWTON_SCHULZ, Muon, orthogonalised
 
 RATE, MOMENTUM, SECOND = 0.01, 0.9, 0.95
@@ -106,23 +104,6 @@ def test_matrices_of_few_rows_or_columns_follow_the_formula_even_where_they_are_
         for one, matrix in zip(orthogonalised(matrices), matrices, strict=True):
             exact = _newton_schulz(matrix.double())
             assert float((one - exact).norm() / exact.norm()) < 1e-4
-
-
-def test_threads_share_the_shapes_with_the_bits_of_one_thread_and_their_number_stays() -> None:
-    single, shared = _network(), _network()
-    for network, threads in ((single, 1), (shared, 3)):
-        optimizer = _optimizer(network)
-        with using_threads(threads):
-            for step in (1, 2, 3):
-                _step(network, optimizer, step)
-            assert torch.get_num_threads() == threads
-            with ThreadPoolExecutor(1) as later:
-                assert later.submit(torch.get_num_threads).result() == threads
-            if threads > 1:
-                assert optimizer._threads is not None
-                assert optimizer._threads.submit(torch.get_num_threads).result() == 1
-    for name, parameter in single.named_parameters():
-        assert torch.equal(parameter, shared.get_parameter(name))
 
 
 def test_a_restored_optimizer_goes_on_as_if_it_had_not_stopped() -> None:

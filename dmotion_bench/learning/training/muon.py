@@ -7,9 +7,7 @@ Convolution kernels are matrices of outputs by everything else. Weights of one s
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import torch
@@ -108,21 +106,6 @@ class _Recorded:
         return self._found
 
 
-def _one_thread_each(count: int) -> ThreadPoolExecutor:
-    """So many threads, each of which computes alone: torch divides no product of small matrices among its threads."""
-    pool = ThreadPoolExecutor(count, initializer=_compute_alone)
-    begun = threading.Barrier(count)
-    list(pool.map(lambda _: begun.wait(), range(count)))
-    torch.set_num_threads(count)  # of threads that are still to come, too: theirs counted for those
-    return pool
-
-
-def _compute_alone() -> None:
-    """Let this thread compute without others."""
-    torch.get_num_threads()  # first: when a thread asks first, torch gives it the number that holds for new threads
-    torch.set_num_threads(1)
-
-
 class Muon(torch.optim.Optimizer):
     """Muon for the groups marked ``matrices=True``, Adam for the others.
 
@@ -146,7 +129,6 @@ class Muon(torch.optim.Optimizer):
         super().__init__(list(groups), defaults)
         self.products = products
         self._recorded: dict[tuple[torch.Size, ...], _Recorded] = {}
-        self._threads: ThreadPoolExecutor | None = None
 
     @torch.no_grad()
     def step(self, closure: Callable[[], float] | None = None) -> float | None:  # type: ignore[override]
@@ -206,24 +188,13 @@ class Muon(torch.optim.Optimizer):
             torch._foreach_add_(changed, steps, alpha=-group["lr"] * 0.2 * max(rows, columns) ** 0.5)
 
     def _orthogonalised(self, together: list[Tensor]) -> list[Tensor]:
-        """Matrices of several shapes; on a GPU all of them by one call, on a CPU each shape by one thread."""
-        if together[0].device.type == "cpu" and torch.get_num_threads() > 1:
-            return self._side_by_side(together)
+        """Matrices of several shapes; on a GPU all of them by one call."""
         if together[0].device.type != "cuda":
             return [orthogonalised(matrices, self.products) for matrices in together]
         shapes = tuple(matrices.shape for matrices in together)
         if shapes not in self._recorded:
             self._recorded[shapes] = _Recorded(together, self.products)
         return self._recorded[shapes](together)
-
-    def _side_by_side(self, together: list[Tensor]) -> list[Tensor]:
-        if self._threads is None:
-            self._threads = _one_thread_each(torch.get_num_threads())
-        begun = {
-            place: self._threads.submit(orthogonalised, together[place], self.products)
-            for place in sorted(range(len(together)), key=lambda place: -_work(together[place]))  # the longest first
-        }
-        return [begun[place].result() for place in range(len(together))]
 
     def _step_adam(
         self, group: dict[str, Any], parameters: list[Tensor], gradients: list[Tensor], means: list[Tensor]
@@ -239,11 +210,6 @@ class Muon(torch.optim.Optimizer):
         torch._foreach_add_(scales, 1e-8)
         sizes = [-group["lr"] / (1 - group["momentum"] ** number) for number in numbers]
         torch._foreach_addcdiv_(parameters, means, scales, sizes)
-
-
-def _work(matrices: Tensor) -> int:
-    """In how many multiplications a product of each with its transpose consists."""
-    return matrices.numel() * min(matrices.shape[1:])
 
 
 def _matrix(values: Tensor, weight: Tensor) -> Tensor:

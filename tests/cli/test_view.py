@@ -131,7 +131,7 @@ def test_the_web_page_is_served_until_the_command_is_ended(workspace: Path, sign
     try:
         viewers = viewers_of(process)
         process.send_signal(sign)
-        assert process.wait(timeout=20) == (0 if sign == signal.SIGINT else 143)
+        assert process.wait(timeout=60) == (0 if sign == signal.SIGINT else 143)
     finally:
         process.kill()
         process.communicate()

@@ -73,8 +73,6 @@ class DMotionConfig(UNetConfig):
         transform: ``"translation"`` (the default in both environments), ``"affine"`` with all six parameters, or
             ``"cross_convolution"`` (the ablation DMotion-No-STN).
         kernel: Side of cross convolution's kernels [px of the map].
-        motion_std: Standard deviation of the initial weights of the compact motion encoder's last layer. Nothing bounds
-            the kernels of cross convolution: with 0.05 they start far from the one that moves nothing, with 1e-4 near.
         agent_entries: At how many places of the interaction learner the agent's map enters: 3 as in the paper, or 1.
         second_frame: Whether the interaction learner sees x_{t-1}.
         warp, gate_floor, width: Of the interaction learner; compact only. The paper's paints, and has no gate.
@@ -100,7 +98,6 @@ class DMotionConfig(UNetConfig):
     agents: int = 1
     transform: Literal["translation", "affine", "cross_convolution"] = "translation"
     kernel: int = 27
-    motion_std: float = dmotion_compact.MOTION_STD
     agent_entries: Literal[1, 3] = 3
     second_frame: bool = True
     blur: float = 8.0
@@ -119,8 +116,6 @@ class DMotionConfig(UNetConfig):
             raise InvalidSetting(
                 f"agents is {self.agents}; it can be 1 to {min(self.maps, MOST_AGENTS)}, with {self.maps} maps."
             )
-        if not 0 < self.motion_std <= 1:
-            raise InvalidSetting("motion_std must be above 0 and at most 1.")
         if self.blur < 1 or min(self.jitter, self.jitter_end) < 0 or not 0 < self.anneal <= 1:
             raise InvalidSetting(
                 "blur must be 1 or more, jitter and jitter_end 0 or more, anneal above 0 and at most 1."
@@ -134,9 +129,10 @@ class DMotionConfig(UNetConfig):
         for name, also in _OF_TRANSLATIONS.items():
             if self.transform != "translation" and getattr(self, name) not in (getattr(DMotionConfig, name), also):
                 raise InvalidSetting(f"{name} is for transform=translation; with {self.transform} it does nothing.")
-        for name in ("warp", "gate_floor", "width", "motion_std"):
-            if self.arch == "paper" and getattr(self, name) != getattr(DMotionConfig, name):
-                raise InvalidSetting(f"{name} is for arch=compact; the paper's networks have no such choice.")
+        usual = UNetConfig()
+        for name in ("warp", "gate_floor", "width"):
+            if self.arch == "paper" and getattr(self, name) != getattr(usual, name):
+                raise InvalidSetting(f"{name} is for arch=compact; the paper's interaction learner has no such choice.")
 
 
 class DMotion(TwoFrameModel[DMotionConfig]):
@@ -161,11 +157,10 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         is_paper = config.arch == "paper"
         networks = dmotion_paper if is_paper else dmotion_compact
         sized = {"side": inputs.height} if is_paper else {}  # the compact networks have no layer that knows the size
-        started = {} if is_paper else {"std": config.motion_std}
         self.pack, self.unpack = networks.pack, networks.unpack
         self.image_encoder = networks.ImageEncoder(config.maps)
         self.motion_encoder = networks.MotionEncoder(
-            config.maps, self.transform.identity(), reversible=self.transform.reversible, **sized, **started
+            config.maps, self.transform.identity(), reversible=self.transform.reversible, **sized
         )
         self.decoder = networks.Decoder(config.maps, **sized)
         self.interaction_learner = networks.InteractionLearner(

@@ -31,7 +31,6 @@ __all__ = ["Decoder", "ImageEncoder", "InteractionLearner", "MotionEncoder", "pa
 
 MAP_PIXEL = 2  # the side of a map's pixel [px of the frame]
 LARGEST_SHIFT = 0.6  # of half the map: |t| stays below it
-MOTION_STD = 0.05
 MOTION_RATE = 0.3  # the motion's last layer learns at this share of the rate: it is what oscillates first
 
 
@@ -63,18 +62,15 @@ class MotionEncoder(MotionTrunk):
         maps: n.
         identity: The motion that moves nothing.
         reversible: Whether going back is the negative of going there, as for transformers; then it is bounded, too.
-        std: Standard deviation of the last layer's initial weights.
     """
 
     identity: Tensor
 
-    def __init__(
-        self, maps: int, identity: Float[Tensor, " d"], reversible: bool = True, std: float = MOTION_STD
-    ) -> None:
+    def __init__(self, maps: int, identity: Float[Tensor, " d"], reversible: bool = True) -> None:
         super().__init__(frames=2)
         self.maps, self.reversible = maps, reversible
         self.motion = nn.Linear(self.length, maps * len(identity), bias=False)
-        nn.init.normal_(self.motion.weight, std=std)
+        nn.init.normal_(self.motion.weight, std=0.05)
         left_to_adam(self.motion.weight, rate=MOTION_RATE)
         self.register_buffer("identity", identity.clone())
 

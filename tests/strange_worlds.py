@@ -12,6 +12,10 @@ import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from gymnasium.spaces import Box, Dict, Discrete, MultiBinary
 
+SLIDER = "gym:Strange/Slider-v0"
+SMALL = ("--preset", "tiny", "--episodes", "2", "--frames", "6", "--size", "24", "--workers", "1")
+"""Words that make a recording by the command line short."""
+
 
 class Slider(gymnasium.Env[np.ndarray, Any]):
     """A white bar in a dark picture; actions 5 and 6 move it left and right, and it ends at the right edge."""

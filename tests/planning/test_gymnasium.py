@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import strange_worlds
 from known_model import result_of
+from strange_worlds import SLIDER
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.runs import checkpoint
@@ -36,7 +37,6 @@ from dmotion_bench.storage.tasks import GOAL_DISTANCE, START_SPACING, picture_ca
 from dmotion_bench.workspace import Workspace
 
 strange_worlds.register()
-SLIDER = "gym:Strange/Slider-v0"
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,7 @@ import pytest
 import strange_worlds
 from dmbench_command import Outcome, dmbench
 from noise_world import files_of
+from strange_worlds import SLIDER, SMALL
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.environment import ObjectEnvironment, Tier, tier_of
@@ -33,8 +34,6 @@ from recorders.gymnasium_env import modules
 from recorders.gymnasium_env.worlds import WORLDS
 
 Run = Callable[..., Outcome]
-SLIDER = "gym:Strange/Slider-v0"
-SMALL = ("--preset", "tiny", "--episodes", "2", "--frames", "6", "--size", "24", "--workers", "1")
 strange_worlds.register()
 
 

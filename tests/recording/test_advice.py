@@ -9,10 +9,9 @@ from pathlib import Path
 import pytest
 import strange_worlds
 from dmbench_command import Outcome, dmbench
+from strange_worlds import SLIDER, SMALL
 
 Run = Callable[..., Outcome]
-SLIDER = "gym:Strange/Slider-v0"
-SMALL = ("--preset", "tiny", "--episodes", "2", "--frames", "6", "--size", "24", "--workers", "1")
 strange_worlds.register()
 
 

@@ -66,7 +66,7 @@ from leaderboard.paper import label_count
 from leaderboard.pictures import take_pictures
 from leaderboard.rescored import against_samples, same_pictures, same_samples, same_scores, stored_samples
 from leaderboard.sources import against_run, as_read, find_dataset, find_run
-from leaderboard.verdict import Findings, Verdict, short
+from leaderboard.verdict import Findings, Verdict, copies_found, short
 
 LEAST_RESAMPLES: Final = 100  # of very few draws an interval is as narrow as one likes
 MOST_RESAMPLES: Final = 100_000
@@ -281,7 +281,7 @@ def check_paths(
         except JobsLost as lost:
             for job in lost.jobs:
                 verdicts[job.number] = Verdict(entry=job.path.name, findings=(), missing=(str(lost),))
-    return _told_apart([(job.path, verdicts[job.number]) for job in jobs])
+    return copies_found(_told_apart([(job.path, verdicts[job.number]) for job in jobs]))
 
 
 def _told_apart(found: Sequence[tuple[Path, Verdict]]) -> list[Verdict]:

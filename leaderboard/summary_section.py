@@ -30,10 +30,13 @@ MEANING: Final = (
 )
 INTERVALS: Final = (
     "With an IQM stands its 95% interval over trainings, a bootstrap within each world; of fewer than five it "
-    "is too narrow. One training says nothing about others: there is no interval, and P(better) only tells in what "
-    "share of the worlds this training was better. So the order is no ranking where a model has fewer than three "
-    "trainings."
+    "is too narrow."
 )
+ALONE: Final = (
+    "One training says nothing about others: there is no interval, and P(better) only tells in what share of the "
+    "worlds this training was better."
+)
+NO_RANKING: Final = "The order is no ranking where a model has fewer than three trainings."
 
 
 def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
@@ -61,7 +64,7 @@ def summary_section(summary: Summary, anchors: Sequence[str]) -> Markup:
         element("h2", TITLE),
         element("p", summary_shows(summary), class_="shows"),
         element("div", ranking, class_="scroll", tabindex=0, role="region", aria_labelledby="summary-caption"),
-        joined(element("p", note, class_="note") for note in (SCORE, MEANING, INTERVALS, *_absent(summary))),
+        joined(element("p", note, class_="note") for note in (*_explained(summary), *_absent(summary))),
         id="summary",
         class_="summary",
     )
@@ -83,7 +86,7 @@ def summary_lines(summary: Summary) -> list[str]:
         for one in summary.standings
     ]
     lines = table(["Model", "IQM", "Mean", "Worst world", *worlds, "P(better)", "Labels", "Trainings"], body)
-    notes = (f"Data sets: {recorded}.", SCORE, MEANING, INTERVALS, *map(plain, _absent(summary)))
+    notes = (f"Data sets: {recorded}.", *_explained(summary), *map(plain, _absent(summary)))
     said = [one for note in notes for one in (*textwrap.wrap(note, WIDTH, break_on_hyphens=False), "")]
     return ["", *lines, "", *said]
 
@@ -115,6 +118,13 @@ def _trainings(summary: Summary) -> str:
     """How many trainings the models have in each world."""
     known = sorted({one.trainings for one in summary.standings})
     return f"{known[0]} to {known[-1]} trainings of each in a world" if known[-1] > 1 else "one training in each world"
+
+
+def _explained(summary: Summary) -> list[str]:
+    """What the columns say, and how far the order of the models can be trusted."""
+    fewest = min((one.trainings for one in summary.standings), default=0)
+    doubts = [ALONE] * (fewest == 1) + [NO_RANKING] * (fewest < 3)
+    return [SCORE, MEANING, " ".join([INTERVALS, *doubts])]
 
 
 def _absent(summary: Summary) -> list[str]:

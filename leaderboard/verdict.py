@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from typing import Any, Final
 
 from leaderboard.comparison import PARTS
@@ -27,6 +27,8 @@ class Verdict:
         missing: What would be needed to check it and is not here: its weights, its data, the code that scored it.
         remarks: What is to be borne in mind.
         figures, samples: How many were held against a new scoring.
+        weights: The hash of the weights that the entry names; None for a published row.
+        seed: Of the training that it names.
     """
 
     entry: str
@@ -35,6 +37,8 @@ class Verdict:
     remarks: tuple[str, ...] = ()
     figures: int = 0
     samples: int = 0
+    weights: str | None = None
+    seed: int | None = None
 
     @property
     def holds(self) -> bool:
@@ -94,7 +98,32 @@ class Findings:
             remarks=tuple(self.remarks),
             figures=self.figures,
             samples=self.samples,
+            weights=self.entry.content["weights"] if self.entry.is_measured else None,
+            seed=self.entry.content["seed"] if self.entry.is_measured else None,
         )
+
+
+def copies_found(verdicts: Sequence[Verdict]) -> list[Verdict]:
+    """The verdicts, with a finding at each entry whose weights another one calls a training with another seed.
+
+    Copies are found by the hash of their weights: of ones that were changed a little nothing is said.
+    """
+    seeds: dict[str, dict[int, str]] = {}
+    for one in verdicts:
+        if one.weights is not None and one.seed is not None:
+            seeds.setdefault(one.weights, {}).setdefault(one.seed, one.entry)
+
+    def with_finding(one: Verdict) -> Verdict:
+        others = {} if one.weights is None else seeds[one.weights]
+        told = [
+            f"weights: {name} has the same and calls them a training with seed {seed}, here it is {one.seed}; "
+            "they are one training"
+            for seed, name in others.items()
+            if seed != one.seed
+        ]
+        return replace(one, findings=(*one.findings, *told)) if told else one
+
+    return [with_finding(one) for one in verdicts]
 
 
 def short(value: object) -> str:

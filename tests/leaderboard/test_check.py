@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+import shutil
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -240,6 +241,23 @@ def test_folders_files_and_runs_can_be_checked(workspace: Workspace, sound: Entr
 
     assert [verdict.entry for verdict in verdicts] == ["broken.json", f"{RUN}, {sent.name}", RUN]
     assert [verdict.holds for verdict in verdicts] == [False, True, True]
+
+
+def test_the_weights_of_one_training_are_not_those_of_a_second(workspace: Workspace) -> None:
+    copied = workspace.runs / "another-training"
+    shutil.copytree(workspace.runs / RUN, copied)
+    for file in ("run.json", "report/report.json"):
+        text = (copied / file).read_text()
+        assert '"seed": 0,' in text
+        (copied / file).write_text(text.replace('"seed": 0,', '"seed": 1,', 1).replace(RUN, copied.name))
+
+    alone = check_paths([copied], workspace, quick=True)
+    both = check_paths([workspace.runs / RUN, copied], workspace, quick=True)
+
+    assert [verdict.findings for verdict in alone] == [()]
+    assert not any(verdict.holds for verdict in both)
+    said = "weights: {} has the same and calls them a training with seed {}, here it is {}; they are one training"
+    assert [verdict.findings for verdict in both] == [(said.format(copied.name, 1, 0),), (said.format(RUN, 0, 1),)]
 
 
 def test_the_folder_of_a_page_stands_for_its_entries(tmp_path: Path) -> None:

@@ -109,7 +109,8 @@ def reproduce(
     any number of workers.
 
     Args:
-        table: A registered name (``"paper"``, ``"control"``, ``"continuous"``, ``"labels"``), or a table of your own.
+        table: A registered name (``"paper"``, ``"control"``, ``"continuous"``, ``"labels"``, ``"laom"``), or a table
+            of your own.
         preset: Size of recordings and trainings; the table's by default.
         seeds, models, worlds: A part of the table.
         executor: Where jobs run: ``"local"``, ``"ray"`` or ``"slurm"``.

@@ -236,6 +236,14 @@ def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path:
     assert not any(line.jobs for line in dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost.lines)
 
 
+def test_a_model_on_request_is_counted_only_where_it_is_named(tmp_path: Path) -> None:
+    always, asked = TABLE.entrants
+    table = dataclasses.replace(TABLE, entrants=(always, dataclasses.replace(asked, on_request=True)))
+    for models, trained in ((None, ["lapo"]), (["ed-cnn"], ["ed-cnn"]), (["lapo", "ed-cnn"], ["lapo", "ed-cnn"])):
+        cost = dm.reproduce(table, models=models, workspace=tmp_path, dry_run=True).cost
+        assert [line.what for line in cost.lines if line.kind == "train"] == trained
+
+
 def test_the_command_says_the_cost_and_what_is_wrong(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -27,6 +27,7 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training import table as learning_table
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.recording import session
+from dmotion_bench.reproduction.settled import Page
 from dmotion_bench.reproduction.table import Table
 from dmotion_bench.scoring import side_by_side
 from dmotion_bench.specs import Preset
@@ -128,6 +129,16 @@ def test_a_dry_run_counts_what_is_done_and_nothing_is_done_twice(tmp_path: Path,
     assert done == before
     assert (again.pages, again.runs) == (made.pages, made.runs)
     assert not any(line.jobs for line in again.cost.lines)
+
+
+@pytest.mark.slow
+def test_parts_that_are_made_one_after_the_other_stand_on_one_page(tmp_path: Path) -> None:
+    for models in ("lapo", "ed-cnn"):
+        (page,) = dm.reproduce(TABLE, models=[models], workspace=tmp_path, workers=1).pages
+    shown = page.read_text()
+    assert all(path.name in shown for path in tmp_path.glob("runs/*/"))
+    assert not any(line.jobs for line in dm.reproduce(TABLE, workspace=tmp_path, dry_run=True).cost.lines)
+    assert Page(page.parent).beside((), Preset.SMALL) == []  # these were trials
 
 
 @pytest.mark.slow

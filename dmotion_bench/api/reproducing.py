@@ -25,7 +25,7 @@ from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.registry import table as table_named
 from dmotion_bench.reproduction.cost import Cost, control_places, cost_of
 from dmotion_bench.reproduction.plan import Plan, Training, require_models
-from dmotion_bench.reproduction.settled import state_of
+from dmotion_bench.reproduction.settled import Page, state_of
 from dmotion_bench.reproduction.speeds import Speeds
 from dmotion_bench.reproduction.table import Column, Table
 from dmotion_bench.scoring.control import ControlScoring
@@ -109,7 +109,8 @@ def reproduce(
     any number of workers.
 
     Args:
-        table: A registered name (``"paper"``, ``"control"``, ``"continuous"``, ``"labels"``), or a table of your own.
+        table: A registered name (``"paper"``, ``"control"``, ``"continuous"``, ``"labels"``, ``"laom"``), or a table
+            of your own.
         preset: Size of recordings and trainings; the table's by default.
         seeds, models, worlds: A part of the table.
         executor: Where jobs run: ``"local"``, ``"ray"`` or ``"slurm"``.
@@ -306,13 +307,15 @@ class _Work:
             done += len(paths)
 
     def build(self, columns: Sequence[Column]) -> None:
-        """Build the page of some columns, if an entry is missing on it."""
+        """Build the page of some columns, if an entry is missing on it. What stands there of other parts stays."""
         states = [state_of(self.plan, column) for column in columns]
         folder = self.plan.page(columns[0])
         new = list(dict.fromkeys(path for state in states for path in state.to_enter))
         if new:
             part = f"building {folder.name}"
+            runs = {path.name for training in self.plan.trainings for path in training.runs(self.workspace)}
             standing = [path for state in states for path in state.standing]
+            standing += Page(folder).beside(runs, self.plan.table.preset)
             kept = [path for path in dict.fromkeys(standing) if not _is_of(path, new)]
 
             def show(_: str, done: int, total: int) -> None:

@@ -30,7 +30,7 @@ OBJECTIVES: Final = (
 COLUMNS: Final = ("generic-risk", "generic-belief", "generic-wide", "generic", "paper", "task-knowledge")
 REFERENCES: Final = ("idle", "random", "oracle", "scripted")
 METRICS: Final[tuple[Metric, ...]] = ("prediction", "rollout", "gain", "control")
-TABLES: Final = ("continuous", "control", "labels", "paper")
+TABLES: Final = ("continuous", "control", "labels", "laom", "paper")
 
 
 def listed(names: Iterable[str]) -> str:

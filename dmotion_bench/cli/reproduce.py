@@ -37,7 +37,8 @@ def reproduce(
             help="The table. paper: tables I and II of the DMotion paper. control: control by frozen planners on test "
             "tasks (protocols dmbench-2 to dmbench-4), and prediction. continuous: the same with continuous actions, "
             "by a planner for them (dmbench-5) and the first of these. labels: figures by the number of labelled "
-            "transitions. A package of your own can add others.",
+            "transitions. laom: what labels during the training do for latent actions beside distractors. A package of "
+            "your own can add others.",
         ),
     ],
     preset: Annotated[

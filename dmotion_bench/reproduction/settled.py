@@ -6,7 +6,7 @@ the entry on that column's page alone.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -19,6 +19,7 @@ from dmotion_bench.scoring.earlier_planning import present_settings
 from dmotion_bench.scoring.report import SCORING_VERSION
 from dmotion_bench.scoring.score import is_scored
 from dmotion_bench.scoring.settings import OWN_SETTINGS
+from dmotion_bench.specs import Preset
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 
 ENTRIES: Final = "entries"
@@ -68,6 +69,20 @@ class Page:
             if _has_figures(one.content, scoring):
                 return one.path
         return None
+
+    def beside(self, runs: Container[str], preset: Preset) -> list[Path]:
+        """The files of entries of other runs, trained at this preset: what other parts of the table have made.
+
+        Args:
+            runs: The names of the runs that are meant by none of them.
+            preset: Of their trainings, so that a trial stands on no page of the table itself.
+        """
+        return [
+            one.path
+            for (run, _, _), entries in self._standing.items()
+            for one in entries
+            if run not in runs and one.content.get("preset") == preset.value
+        ]
 
 
 def _has_figures(content: Mapping[str, Any], scoring: Scoring) -> bool:

@@ -99,12 +99,14 @@ class Entrant:
         labels: Budgets, as ``--labels`` takes them; those that the model or the data set cannot use are left out.
         arch: None for the model's first.
         settings: ``KEY=VALUE`` of the model or the training.
+        on_request: Whether it is left out unless it is named, as by ``--models``.
     """
 
     model: str
     labels: tuple[str, ...]
     arch: str | None = None
     settings: tuple[str, ...] = ()
+    on_request: bool = False
 
     def __post_init__(self) -> None:
         if not self.labels:
@@ -226,13 +228,15 @@ class Table:
         models: Sequence[str] | None = None,
         worlds: Sequence[str] | None = None,
     ) -> Table:
-        """A part of the table, or the table at another size.
+        """A part of the table, or the table at another size. Models on request are in it only if they are named.
 
         Raises:
             UnknownName: A model or a world that it does not have.
             UsageError: No model or world is named, nothing is left of it, or a seed cannot be one.
         """
         entrants = _chosen("model of this table", models, self.entrants, [one.model for one in self.entrants])
+        if models is None:
+            entrants = tuple(one for one in entrants if not one.on_request)
         kept = _chosen("world of this table", worlds, self.worlds, [one.label for one in self.worlds])
         names, labels = {one.model for one in entrants}, {one.label for one in kept}
         columns = tuple(

@@ -27,6 +27,7 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training import table as learning_table
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.recording import session
+from dmotion_bench.reproduction.settled import Page
 from dmotion_bench.reproduction.table import Table
 from dmotion_bench.scoring import side_by_side
 from dmotion_bench.specs import Preset
@@ -128,6 +129,16 @@ def test_a_dry_run_counts_what_is_done_and_nothing_is_done_twice(tmp_path: Path,
     assert done == before
     assert (again.pages, again.runs) == (made.pages, made.runs)
     assert not any(line.jobs for line in again.cost.lines)
+
+
+@pytest.mark.slow
+def test_parts_that_are_made_one_after_the_other_stand_on_one_page(tmp_path: Path) -> None:
+    for models in ("lapo", "ed-cnn"):
+        (page,) = dm.reproduce(TABLE, models=[models], workspace=tmp_path, workers=1).pages
+    shown = page.read_text()
+    assert all(path.name in shown for path in tmp_path.glob("runs/*/"))
+    assert not any(line.jobs for line in dm.reproduce(TABLE, workspace=tmp_path, dry_run=True).cost.lines)
+    assert Page(page.parent).beside((), Preset.SMALL) == []  # these were trials
 
 
 @pytest.mark.slow
@@ -234,6 +245,14 @@ def test_frozen_columns_stand_on_one_page_although_killed_between_them(tmp_path:
     assert "mse" in measured[None]["figures"]
     assert measured[None]["dataset"]["name"] == "planar_push-tiny"
     assert not any(line.jobs for line in dm.reproduce(FROZEN, workspace=tmp_path, dry_run=True).cost.lines)
+
+
+def test_a_model_on_request_is_counted_only_where_it_is_named(tmp_path: Path) -> None:
+    always, asked = TABLE.entrants
+    table = dataclasses.replace(TABLE, entrants=(always, dataclasses.replace(asked, on_request=True)))
+    for models, trained in ((None, ["lapo"]), (["ed-cnn"], ["ed-cnn"]), (["lapo", "ed-cnn"], ["lapo", "ed-cnn"])):
+        cost = dm.reproduce(table, models=models, workspace=tmp_path, dry_run=True).cost
+        assert [line.what for line in cost.lines if line.kind == "train"] == trained
 
 
 def test_the_command_says_the_cost_and_what_is_wrong(

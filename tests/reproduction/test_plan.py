@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import tomllib
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +14,7 @@ from small_tables import CONTROL, TABLE
 
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
+from dmotion_bench.cli import options
 from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.planning.columns import (
     COLUMNS,
@@ -26,11 +29,20 @@ from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.reproduction.cost import control_places
 from dmotion_bench.reproduction.plan import Plan
 from dmotion_bench.reproduction.settled import state_of
-from dmotion_bench.reproduction.table import Entrant, World, powers_of_two
+from dmotion_bench.reproduction.table import Entrant, Table, World, powers_of_two
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.workspace import Workspace
 from recorders.planar_push.environment import PlanarPush
+
+ROOT = Path(__file__).parents[2]
+OURS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["entry-points"][registry.TABLES]
+"""The tables of this project as it says them itself, whatever of them is installed."""
+
+
+def _ours(name: str) -> Table:
+    table: Table = EntryPoint(name, OURS[name], registry.TABLES).load()
+    return table
 
 
 def test_a_part_of_a_table_is_chosen_by_names() -> None:
@@ -120,16 +132,24 @@ def test_the_table_of_control_is_that_of_the_protocol(tmp_path: Path) -> None:
 
 
 def test_the_models_of_its_columns_are_those_that_the_protocol_names() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "protocol.md").read_text()
+    page = (ROOT / "docs" / "protocol.md").read_text()
     told = dict(re.findall(r"^\| `([a-z-]+)` \|(?:[^|]+\|){2} ([^|]+) \|$", page, re.MULTILINE))
     names = {"dmotion": "DMotion", "ed-cnn": "E-D CNN", "wm-ae": "WM-AE", "clasp": "CLASP"}
     for column in registry.table("control").columns[1:]:
         assert told[column.name] == (", ".join(names[model] for model in column.models) or "every model")
 
 
-@pytest.mark.parametrize("name", registry.table_names())
+def test_every_table_of_ours_is_registered_and_listed() -> None:
+    modules = {path.stem for path in (ROOT / "leaderboard" / "tables").glob("*.py")} - {"__init__"}
+    assert {name: f"leaderboard.tables.{name}:TABLE" for name in modules} == OURS
+    assert tuple(sorted(OURS)) == options.TABLES
+    page = (ROOT / "docs" / "reproduce.md").read_text()
+    assert {*re.findall(r"^\| `(\w+)` \| .* \| `reports/\1` \|$", page, re.MULTILINE)} == {*OURS}
+
+
+@pytest.mark.parametrize("name", OURS)
 def test_every_table_can_be_planned(name: str, tmp_path: Path) -> None:
-    plan = reproducing.plan_table(name, workspace=tmp_path, preset="tiny")
+    plan = reproducing.plan_table(_ours(name), workspace=tmp_path, preset="tiny")
     assert {training.model for training in plan.trainings} == {one.model for one in plan.table.entrants}
     assert all(scoring.control for scoring in plan.scorings)
     assert len(plan.pages()) == 1
@@ -146,8 +166,38 @@ def test_budgets_of_the_label_curve_end_with_all_labels(tmp_path: Path) -> None:
     assert len([training for training in plan.trainings if training.model == "dmotion"]) == 1
     assert len([training for training in plan.trainings if training.model == "ed-cnn"]) == 7
     assert len([training for training in plan.trainings if training.model == "wm-ae"]) == 1  # its autoencoder is shared
-    assert rows["idm-ed-cnn"] == rows["wm-ae"] == rows["ed-cnn"]
+    assert rows["laom"] == rows["dmotion"]
+    assert rows["wm-ae"] == rows["ed-cnn"]
     assert len(rows) == 8
+
+
+def test_a_model_on_request_is_in_a_table_where_it_is_named() -> None:
+    table = _ours("labels")
+    asked = [one.model for one in table.entrants if one.on_request]
+    assert asked == ["idm-ed-cnn"]
+    assert {one.model for one in table.narrowed().entrants} == {one.model for one in table.entrants} - {*asked}
+    (named,) = table.narrowed(models=asked).entrants
+    assert named.labels == (*(str(4**power) for power in range(1, 7)), "all")
+
+
+def test_the_table_of_labels_during_the_training_has_both_scenes(tmp_path: Path) -> None:
+    """As the commands of ``docs/experiments/labels-during-training.md`` once had them, one by one."""
+    plan = reproducing.plan_table(_ours("laom"), workspace=tmp_path)
+    assert [one.recipe for one in plan.recordings] == [
+        recipe_for("planar_push", Preset.SMALL, settings=settings) for settings in ((), ("scene=distracted",))
+    ]
+    assert {one.request.settings for one in plan.trainings} == {("epochs=5",)}
+    trained = [
+        (one.recording.world.label, one.model, one.seed, row.labels) for one in plan.trainings for row in one.rows
+    ]
+    assert len(trained) == len({*trained})
+    assert {*trained} == {
+        (world, model, seed, labels)
+        for world in ("planar_push", "planar_push-distracted")
+        for model, labels in (("lapo", "2.5%"), ("laom", "2.5%"), ("laom-labels", "1%"), ("laom-labels", "2.5%"))
+        for seed in range(3)
+    }
+    assert [scoring.metrics() for scoring in plan.scorings] == [("prediction",)] * 2
 
 
 def test_models_that_draw_nothing_are_controlled_by_features(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

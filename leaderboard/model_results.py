@@ -15,7 +15,17 @@ from typing import Final, TypeVar
 
 from dmotion_bench.planning.columns import COLUMNS
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
-from leaderboard.board_tables import budget, budget_words, each_trainings, left, solved, trainings, tuned, tuned_words
+from leaderboard.board_tables import (
+    budget,
+    budget_words,
+    each_trainings,
+    known,
+    left,
+    solved,
+    trainings,
+    tuned,
+    tuned_words,
+)
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
 from leaderboard.column_table import ColumnRow, Outcome
 from leaderboard.columns import POSITION_CHARGED
@@ -101,11 +111,11 @@ def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
         "Variant": lambda board, row: plain(row.variant),
         "Labels": lambda board, row: budget(row),
         "Trainings": lambda board, row: trainings(row, RANKED_BY).partition(":")[0],
-        "MSE": lambda board, row: figure(row.figures[RANKED_BY], strong=row.ties),
+        "MSE": lambda board, row: known(row, RANKED_BY, partial(figure, strong=row.ties)),
         "copying": lambda board, row: mean(board.reference("copy_last").get(RANKED_BY)),
         "paper": lambda board, row: mean(_published(board, row).get(RANKED_BY)),
-        "15 ahead": lambda board, row: mean(row.figures.get("rollout_mse[15]")),
-        f"{POSITION_CHARGED} [px]": lambda board, row: figure(row.figures.get("position_error_paper")),
+        "15 ahead": lambda board, row: known(row, "rollout_mse[15]", mean),
+        f"{POSITION_CHARGED} [px]": lambda board, row: known(row, "position_error_paper", figure),
     }
     note = (
         "Error of the predicted next frame on the test episodes, with its 95% interval over them; of several trainings "
@@ -122,7 +132,9 @@ def _control(places: Sequence[Place], boards: Sequence[Board], what: str) -> lis
         "Variant": lambda board, row: plain(row.variant),
         "Labels": lambda board, row: budget(row),
         "Tasks": lambda board, row: f"{row.figures[_last(row) or ''].samples or ''}",
-        "Distance left": lambda board, row: figure(row.figures[_last(row) or ""], strong=_last(row) in row.leads),
+        "Distance left": lambda board, row: known(
+            row, _last(row) or "", partial(figure, strong=_last(row) in row.leads)
+        ),
         "idle": lambda board, row: mean(board.reference("idle").get(_last(row) or "")),
         "true simulator": lambda board, row: mean(board.reference("oracle").get(_last(row) or "")),
         "paper": lambda board, row: mean(_published(board, row).get(_last(row) or "")),

@@ -30,7 +30,7 @@ from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.efficiency import beside_curves, label_curves
 from leaderboard.entry import Entry, Planner
 from leaderboard.row import Row
-from leaderboard.run_names import settings_of, unusual_settings, without_seed
+from leaderboard.run_names import settings_of, training_of, unusual_settings
 from leaderboard.value import Value, values_of
 
 RANKED_BY: Final = "mse"
@@ -123,7 +123,12 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
             groups[_board_key(entry)].append(entry)
         else:
             published[entry.environment].append(entry)
-    boards = [_board(own, published.get(key[0], [])) for key, own in groups.items()]
+    control = {
+        key: column_table([entry for entry in own if entry.column is not None], REFERENCE_WORDS)
+        for key, own in groups.items()
+    }
+    tables = [table for table in control.values() if table is not None]
+    boards = [_board(own, published.get(key[0], []), control[key], tables) for key, own in groups.items()]
     lonely = set(published) - {key[0] for key in groups}
     boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
     return sorted(
@@ -138,11 +143,19 @@ def _board_key(entry: Entry) -> tuple[str, ...]:
     return *of, str(settings["split"]), str(settings["protocol"])
 
 
-def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
-    """The board of some entries; those whose control a column planned are in a table of their own."""
+def _board(
+    every: Sequence[Entry], published: Sequence[Entry], control: ColumnTable | None, tables: Sequence[ColumnTable]
+) -> Board:
+    """The board of some entries.
+
+    Args:
+        every: Its entries.
+        published: Those of its environment.
+        control: The table of those whose control a column planned.
+        tables: Such tables of all boards.
+    """
     environment, _, dataset, fingerprint, split, protocol = _board_key(every[0])
     entries = [entry for entry in every if entry.column is None]
-    control = column_table([entry for entry in every if entry.column is not None], REFERENCE_WORDS)
     planner, usual = _planner_of(entries), _usual_settings(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     seen: dict[tuple[str, ...], int] = defaultdict(int)
@@ -166,24 +179,8 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         triplets=int(max(counts)) if counts else None,
         rows=_sorted(rows),
         control=control,
-        agreement=agreements(
-            {(row.model, _plain_variant(row), row.labels): _comparable(row) for row in measured}, control
-        ),
+        agreement=agreements(measured, tables),
     )
-
-
-def _plain_variant(row: Row) -> str:
-    """A row's variant as the table of control by columns has it, which says on the board what all were trained on."""
-    return ", ".join(part for part in row.variant.split(", ") if not part.startswith("trained on "))
-
-
-def _comparable(row: Row) -> dict[str, Value]:
-    """A row's figures, without those of control by another planner than the board's."""
-    return {
-        name: value
-        for name, value in row.figures.items()
-        if not (row.planned_otherwise and name.startswith(CONTROLLED))
-    }
 
 
 def _planner_of(entries: Iterable[Entry]) -> Planner | None:
@@ -203,11 +200,7 @@ def _usual_settings(entries: Iterable[Entry]) -> dict[str, str]:
 
 
 def _row_key(entry: Entry) -> tuple[str, ...]:
-    content = entry.content
-    own = entry.trained_on or ""
-    settings = unusual_settings(entry)
-    told = entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own
-    return *told, without_seed(entry) if settings is None else settings, str(content["settings"]["precision"])
+    return *training_of(entry), str(entry.content["settings"]["precision"])
 
 
 def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapping[str, str]) -> Row:

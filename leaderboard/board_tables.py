@@ -10,6 +10,7 @@ from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.wording import rounded
+from leaderboard.agreement import JOINED
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
@@ -99,10 +100,11 @@ def agreement_lines(board: Board) -> list[str]:
     """With what the gain captured agrees, over the board's rows."""
     head = ["Gain captured with", "Rows", "Spearman's correlation"]
     rows = [
-        [one.figure, str(one.correlation.n), f"{one.correlation.mean:.2f} ({_signed(one.correlation)})"]
+        [plain(one.figure), str(one.correlation.n), f"{one.correlation.mean:.2f} ({_signed(one.correlation)})"]
         for one in board.agreement
     ]
-    return table(head, rows, words=1)
+    lines = table(head, rows, words=1)
+    return [*lines, "", *textwrap.wrap(JOINED, WIDTH)] if any(one.joined for one in board.agreement) else lines
 
 
 def _signed(one: Estimate) -> str:

@@ -89,6 +89,7 @@ class ColumnTable:
     """The table of one data set's tasks.
 
     Attributes:
+        dataset, fingerprint: Of the data set.
         columns: Names of those that there are figures of, in their order.
         rows: The best of the first column first, references last.
         steps: Of a task.
@@ -96,6 +97,8 @@ class ColumnTable:
             models with several trainings.
     """
 
+    dataset: str
+    fingerprint: str
     columns: tuple[str, ...]
     rows: tuple[ColumnRow, ...]
     steps: int
@@ -132,7 +135,10 @@ def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTa
     columns = tuple(name for name in COLUMNS if any(name in row.cells for row in rows))
     far = float("inf")
     rows.sort(key=lambda row: (*(row.cells[name].left.mean if name in row.cells else far for name in columns), row.key))
+    dataset = known[0].content["dataset"]
     return ColumnTable(
+        dataset=dataset["name"],
+        fingerprint=dataset["fingerprint"],
         columns=columns,
         rows=(*rows, *_references(known, columns, figure, words)),
         steps=steps,

@@ -18,12 +18,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, TypeVar
 
+from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.registry import environment_title, environment_versions
 from dmotion_bench.scoring.report import CONTRACT
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
-from leaderboard.column_table import ColumnTable, column_table
+from leaderboard.column_table import ColumnTable, column_table, rows_of_column
 from leaderboard.columns import TRUE_MOTION, control_steps
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
@@ -99,6 +100,13 @@ class Board:
     def rows_beside_curves(self) -> list[Row]:
         """The rows without the points of label curves that have only a number for a budget."""
         return beside_curves(self.rows, RANKED_BY)
+
+    @cached_property
+    def by_headline(self) -> Board | None:
+        """The same data set with the rows of the headline's column alone; None where no model has any."""
+        rows = [] if self.control is None else rows_of_column(self.control, HEADLINE.name)
+        able = any(row.kind == "measured" for row in rows)
+        return replace(self, rows=tuple(rows), control=None, agreement=()) if able else None
 
     def reference(self, name: str) -> Mapping[str, Value]:
         """The figures of a reference, by its name in reports; none where it was not scored."""

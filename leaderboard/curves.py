@@ -3,25 +3,22 @@
 from __future__ import annotations
 
 import re
-from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Iterable
 from typing import Final
 
 from dmotion_bench.planning.columns import HEADLINE
-from leaderboard.board import OTHER_PLANNER, REFERENCE_WORDS, Board
+from leaderboard.board import OTHER_PLANNER, Board
 from leaderboard.board_tables import tuned_words
 from leaderboard.chart import COLORS, MARKERS, Axis, Guide, Point, Series, Style, key, line_chart
-from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, UNWANTED, count, number
-from leaderboard.efficiency import SHOT, WITHIN, common_budgets, learned, lines_of, needed_of_rows, of_budgets
-from leaderboard.markup import Markup, element, joined
+from leaderboard.chart_figure import Styles, chart_figure, chart_numbers, point_of
+from leaderboard.columns import POSITION_FOUND, UNWANTED, number
+from leaderboard.efficiency import SHOT
+from leaderboard.label_charts import label_charts
+from leaderboard.markup import Markup, element
 from leaderboard.row import Row
 
-Styles = Mapping[tuple[str, str], Style]
-"""By model and variant."""
 OWN: Final = 2
 """So many of the first models have a colour that no other model has."""
-COPYING: Final = REFERENCE_WORDS["copy_last"]
 _AHEAD: Final = re.compile(r"(\w+)\[(\d+)\]")
 
 
@@ -88,10 +85,7 @@ def charts(board: Board, styles: Styles) -> Markup | None:
     """All charts that the board's figures allow, each with its numbers as a table; None where there is none."""
     where = f"{board.title}{f' ({board.dataset})' if board.dataset else ''}"
     drawn = [
-        _labels(board, styles, "mse", "MSE", where),
-        _labels(board, styles, "position_error_paper", f"{POSITION_CHARGED.lower()} [px]", where),
-        _relative(board, styles, "mse", where),
-        _against_copying(board, styles, "mse", where),
+        *label_charts(board, styles, where),
         _probes(board, styles, where),
         _ahead(board, styles, "rollout_mse", "MSE", "steps ahead", f"Error over the rollout: {where}", log=True),
         _ahead(
@@ -109,98 +103,6 @@ def charts(board: Board, styles: Styles) -> Markup | None:
     return element("div", *drawn, class_="charts") if any(drawn) else None
 
 
-def _labels(board: Board, styles: Styles, figure: str, words: str, where: str) -> Markup | None:
-    """The label-efficiency curve: a line for each model, over its budgets."""
-    groups: dict[tuple[str, str, str], list[Row]] = defaultdict(list)
-    for row in board.rows:
-        if row.kind != "reference" and row.label_count and figure in row.figures:
-            groups[row.kind, row.model, row.variant].append(row)
-    series = [
-        Series(
-            name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(row.figures[figure].mean)}" for row in rows),
-            points=[
-                replace(_point(float(row.label_count or 0), row, figure), ringed=SHOT in row.labels) for row in rows
-            ],
-            style=styles[rows[0].model, rows[0].variant],
-            dash="dotted" if rows[0].kind == "published" else "dashed" if rows[0].elsewhere else "solid",
-            hollow=rows[0].kind == "published",
-        )
-        for own in groups.values()
-        for rows in lines_of(own)
-    ]
-    if not series:
-        return None
-    title = f"Label efficiency, {words.partition(',')[0].partition(' [')[0]}: {where}"
-    chart = line_chart(
-        title,
-        _label_axis(series),
-        Axis(label=words, log=True),
-        series,
-        _guides(board, figure),
-    )
-    rows = sorted((row for own in groups.values() for row in own), key=lambda row: (row.label_count or 0, row.title))
-    numbers = _numbers(
-        ("model", "labels", words),
-        [
-            (row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean))
-            for row in rows
-        ],
-    )
-    return _figure(chart, title, numbers)
-
-
-def _relative(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
-    """Label curves as multiples of each model's own error with all labels, and the labels that each needs.
-
-    Without models that make no error with all labels, of which there are no multiples.
-    """
-    every = _same_trainings(board, figure)
-    curves = {name: rows for name, rows in every.items() if rows[-1].figures[figure].mean > 0}
-    if not curves:
-        return None
-    copied = board.reference("copy_last").get(figure)
-    title = f"Worth of labels: {where}"
-    series = [_divided(rows, figure, styles[name], rows[-1].figures[figure].mean) for name, rows in curves.items()]
-    budgets = common_budgets(board.label_curves.values())
-    needed = {
-        name: needed_of_rows(rows, figure, budgets)
-        for name, rows in board.label_curves.items()
-        if learned(rows, figure, None if copied is None else copied.mean)
-    }
-    guides = [Guide("with all labels", 1.0), Guide(f"{WITHIN:.0%} above", 1 + WITHIN)]
-    chart = line_chart(title, _label_axis(series), Axis(label="MSE / own with all labels", log=True), series, guides)
-    numbers = _numbers(
-        ("model", f"labels to within {WITHIN:.0%} of its own with all, and the 95% interval where it reaches further"),
-        [
-            (rows[-1].title, "" if name not in needed else found.words if (found := needed[name]) else "not comparable")
-            for name, rows in curves.items()
-        ],
-    )
-    return _figure(chart, title, numbers)
-
-
-def _against_copying(board: Board, styles: Styles, figure: str, where: str) -> Markup | None:
-    """Label curves as shares of the error of copying the last frame; None where nothing ever moves."""
-    curves = _same_trainings(board, figure)
-    copied = board.reference("copy_last").get(figure)
-    if not curves or copied is None or copied.mean <= 0:
-        return None
-    title = f"Label efficiency against copying: {where}"
-    series = [_divided(rows, figure, styles[name], copied.mean) for name, rows in curves.items()]
-    chart = line_chart(
-        title, _label_axis(series), Axis(label="MSE / copying's", log=True), series, [Guide(COPYING, 1.0)]
-    )
-    numbers = _numbers(
-        ("model", "labels", "MSE / copying's"),
-        [
-            (row.title, f"{row.labels} ({count(row.label_count or 0)})", number(row.figures[figure].mean / copied.mean))
-            for rows in curves.values()
-            for row in rows
-        ],
-    )
-    return _figure(chart, title, numbers)
-
-
 def _probes(board: Board, styles: Styles, where: str) -> Markup | None:
     """What probes read of the action against the most that they read of anything else: one point a row."""
     action, chance = "probe_mlp[action]", "probe_mlp_shuffled[action]"
@@ -215,7 +117,7 @@ def _probes(board: Board, styles: Styles, where: str) -> Markup | None:
     series = [
         Series(
             name=f"{row.title}, labels {row.labels}: action {number(good)}, {what} {number(bad)}",
-            points=[_point(bad, row, action)],
+            points=[point_of(bad, row, action)],
             style=styles[row.model, row.variant],
         )
         for row, good, what, bad in read
@@ -227,11 +129,11 @@ def _probes(board: Board, styles: Styles, where: str) -> Markup | None:
         Axis(label="read of what it should not hold [R²]", ticks=whole),
         Axis(label="read of the action", ticks=whole),
     )
-    numbers = _numbers(
+    numbers = chart_numbers(
         ("model", "labels", "read of the action", "most read of the rest [R²]", "which is"),
         [(row.title, row.labels, number(good), number(bad), what) for row, good, what, bad in read],
     )
-    return _figure(line_chart(title, x, y, series, guides), title, numbers, note="Best is at the top left.")
+    return chart_figure(line_chart(title, x, y, series, guides), title, numbers, note="Best is at the top left.")
 
 
 def _most_unwanted(row: Row) -> tuple[str, float] | None:
@@ -242,33 +144,6 @@ def _most_unwanted(row: Row) -> tuple[str, float] | None:
         if (name := f"probe_mlp[{factor}]") in row.figures
     }
     return max(found.items(), key=lambda one: one[1]) if found else None
-
-
-def _divided(rows: Sequence[Row], figure: str, style: Style, by: float) -> Series:
-    values = [row.figures[figure].mean / by for row in rows]
-    return Series(
-        name=f"{rows[0].title}: " + ", ".join(f"{row.labels} {number(y)}" for row, y in zip(rows, values, strict=True)),
-        points=[
-            Point(x=float(row.label_count or 0), y=y, ringed=SHOT in row.labels)
-            for row, y in zip(rows, values, strict=True)
-        ],
-        style=style,
-    )
-
-
-def _label_axis(series: Sequence[Series]) -> Axis:
-    """The axis of the numbers of labels; those that most series have are labelled first."""
-    having = Counter(labels for one in series for labels in {point.x for point in one.points})
-    counts = sorted(having, key=lambda labels: (-having[labels], labels))
-    return Axis(label="action labels used", log=True, ticks=counts)
-
-
-def _same_trainings(board: Board, figure: str) -> dict[tuple[str, str], list[Row]]:
-    """The board's label curves, each of the trainings that have all its budgets, as far as there are some."""
-    return {
-        name: of_budgets(rows, figure, [row.label_count or 0 for row in rows])
-        for name, rows in board.label_curves.items()
-    }
 
 
 def _ahead(
@@ -315,7 +190,7 @@ def _ahead(
     chart = line_chart(title, Axis(label=along, ticks=ticks), Axis(label=words, log=log, zero=True), [*still, *series])
     shown = sorted(marked)
     told = ", ".join(one.name for one in still)
-    numbers = _numbers(
+    numbers = chart_numbers(
         ("model", "labels", *(f"{step:g}" for step in shown)),
         [
             (name, labels, *(number(values.get(step)) for step in shown))
@@ -326,7 +201,13 @@ def _ahead(
             if (values := {point.x: point.y for point in points})
         ],
     )
-    return _figure(chart, title, numbers, note=f"Dotted: {told}." if still else "")
+    return chart_figure(chart, title, numbers, note=f"Dotted: {told}." if still else "")
+
+
+def _steps(row: Row, base: str) -> list[Point]:
+    places = [(int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base]
+    start = [Point(x=0.0, y=1.0)] if base == "control_distance" and places and min(places)[0] > 0 else []
+    return start + [point_of(float(step), row, name) for step, name in sorted(places)]
 
 
 def _control(board: Board | None, styles: Styles, title: str) -> Markup | None:
@@ -335,37 +216,6 @@ def _control(board: Board | None, styles: Styles, title: str) -> Markup | None:
         return None
     words = "distance to the goal / at the start"
     return _ahead(board, styles, "control_distance", words, "control step", title, every=10)
-
-
-def _figure(chart: Markup, title: str, numbers: Markup, note: str = "") -> Markup:
-    kind = title.partition(":")[0]
-    return element(
-        "figure",
-        element("figcaption", element("b", kind), f" {note}" if note else None),
-        chart,
-        element("details", element("summary", "The numbers"), numbers),
-    )
-
-
-def _numbers(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Markup:
-    head = element("tr", *(element("th", heading, scope="col") for heading in headings))
-    body = [
-        element("tr", element("th", first, scope="row"), *(element("td", text) for text in rest))
-        for first, *rest in rows
-    ]
-    table = element("table", element("thead", head), element("tbody", joined(body)))
-    return element("div", table, class_="scroll", tabindex=0, role="region", aria_label="Numbers of the chart")
-
-
-def _point(x: float, row: Row, figure: str) -> Point:
-    value = row.figures[figure]
-    return Point(x=x, y=value.mean, low=value.low, high=value.high)
-
-
-def _steps(row: Row, base: str) -> list[Point]:
-    places = [(int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base]
-    start = [Point(x=0.0, y=1.0)] if base == "control_distance" and places and min(places)[0] > 0 else []
-    return start + [_point(float(step), row, name) for step, name in sorted(places)]
 
 
 def _title(board: Board, row: Row, base: str) -> str:
@@ -383,14 +233,6 @@ def _is_covered(row: Row, board: Board) -> bool:
         return False
     same = (row.kind, row.model, row.variant, "one-shot")
     return any((one.kind, one.model, one.variant, one.labels) == same for one in board.rows)
-
-
-def _guides(board: Board, figure: str) -> list[Guide]:
-    return [
-        Guide(row.name, row.figures[figure].mean)
-        for row in board.rows
-        if row.kind == "reference" and figure in row.figures
-    ]
 
 
 def _dash(row: Row) -> str:

@@ -214,7 +214,8 @@ def common_budgets(curves: Collection[Sequence[Row]]) -> list[int]:
 def of_budgets(rows: Sequence[Row], figure: str, budgets: Collection[int]) -> list[Row]:
     """The rows of a label curve that have some numbers of labels, and that of all labels, of the same trainings.
 
-    Trainings are known by their seeds. Where none has all these budgets, each row keeps those that it has.
+    Trainings are known by their seeds. Where none has all these budgets, or a row's figure leaves out a training that
+    was measured with other settings, each row keeps those that it has.
 
     Args:
         rows: One for each budget of a model, the last of them all labels.
@@ -222,7 +223,10 @@ def of_budgets(rows: Sequence[Row], figure: str, budgets: Collection[int]) -> li
         budgets: Numbers of labels that count, besides all.
     """
     rows = [row for row in rows[:-1] if row.label_count in budgets] + [*rows[-1:]]
-    seeds = [{entry.content["seed"] for entry in row.entries if figure in entry.figures} for row in rows]
+    having = [[entry.content["seed"] for entry in row.entries if figure in entry.figures] for row in rows]
+    if any(len(own) != row.figures[figure].seeds for own, row in zip(having, rows, strict=True)):
+        return rows
+    seeds = [set(own) for own in having]
     common = set[int]().union(*seeds[:1]).intersection(*seeds)
     return [_of_seeds(row, figure, common) for row in rows] if common else rows
 

@@ -17,10 +17,12 @@ from typing import Final
 
 from dmotion_bench.registry import environment_versions, model_class, model_names
 from leaderboard.board import Board, make_boards
+from leaderboard.chart_figure import Styles
 from leaderboard.columns import HIGHER, count
-from leaderboard.curves import Styles, assign_styles, charts, legend
+from leaderboard.curves import assign_styles, charts, legend
 from leaderboard.entry import Entry
 from leaderboard.gallery import BUDGET, fitting_steps, gallery
+from leaderboard.label_charts import label_notes
 from leaderboard.markup import Markup, element, escaped, joined
 from leaderboard.paper import ADDRESS as PAPER
 from leaderboard.paper import address
@@ -179,6 +181,7 @@ def _anchor(place: int) -> str:
 
 def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
     drawn = charts(board, styles)
+    notes = [element("p", note, class_="note") for note in [label_notes(board)] if note]
     return element(
         "section",
         element("h2", board.title, element("small", board.dataset) if board.dataset else None),
@@ -190,7 +193,7 @@ def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
         _published(board, _anchor(place)),
         column_standings(board.control, _anchor(place)) if board.control is not None else None,
         control_standings(board, _anchor(place)),
-        joined([element("h3", "Curves"), legend(board, styles), drawn]) if drawn is not None else None,
+        joined([element("h3", "Curves"), legend(board, styles), *notes, drawn]) if drawn is not None else None,
         gallery(board, steps),
         provenance(board),
         id=_anchor(place),

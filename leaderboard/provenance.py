@@ -41,7 +41,10 @@ def provenance(board: Board) -> Markup | None:
             "needs the run and the data set, in the "
             "workspace or fetched with ",
             element("code", "--from PLACE"),
-            ".",
+            ". The samples that the figures are made of are part of the run: ",
+            element("code", "dmbench share pull entries/NAME.json --from PLACE"),
+            " fetches it, with its data set, from where the author published both, and holds every file against its "
+            "hash.",
             class_="note",
         ),
         _list(usual, element("summary", "What these entries have in common, where an entry does not say otherwise"))

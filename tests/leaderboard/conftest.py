@@ -191,6 +191,29 @@ def result(sound: Entry) -> Callable[..., Entry]:
     return make
 
 
+@pytest.fixture
+def budgeted(sound: Entry) -> Callable[..., Entry]:
+    """Makes an entry: of a model, under a budget, with so many labels and such an error in every episode.
+
+    Further figures are given by their names: they and what copying has of them.
+    """
+
+    def entry(
+        model: str, labels: str, total: int, error: float, *, seed: int = 0, copying: float = 8.0, **figures: float
+    ) -> Entry:
+        def figure(mean: float) -> dict[str, Any]:
+            return {"mean": mean, "std": 1.0, "low": mean, "high": mean, "n": FRAMES * len(EPISODES)}
+
+        made = copy.deepcopy(dict(sound.content))
+        sums = {"episode": EPISODES, "n": [FRAMES] * len(EPISODES), "sum": [error * FRAMES] * len(EPISODES)}
+        made["figures"] |= {name: figure(mean) for name, mean in {"mse": error, **figures}.items()}
+        made["reference"]["copy_last"] |= {name: figure(copying) for name in figures}
+        made |= {"model": model, "seed": seed, "run": f"{model}-{labels}-s{seed}", "by_episode": {"mse": sums}}
+        return Entry(made | {"labels": {"asked": labels, "given": {}, "total": total}})
+
+    return entry
+
+
 def row_named(board: Board, name: str) -> Row:
     (row,) = (row for row in board.rows if row.name == name and row.kind == "measured")
     return row

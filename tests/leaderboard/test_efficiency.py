@@ -102,25 +102,6 @@ def test_curves_that_do_not_compare_have_no_figure() -> None:
     assert labels_needed([_point(4, np.ones((1, EPISODES - 1))), whole]) is None
 
 
-@pytest.fixture
-def budgeted(sound: Entry) -> Callable[[str, str, int, float], Entry]:
-    """Makes an entry: of a model, under a budget, with so many labels and such an error in every episode."""
-
-    def entry(model: str, labels: str, total: int, error: float) -> Entry:
-        made = copy.deepcopy(dict(sound.content))
-        made |= {
-            "model": model,
-            "run": f"{model}-{labels}-s0",
-            "labels": {"asked": labels, "given": {}, "total": total},
-        }
-        figure = {"mean": error, "std": 1.0, "low": error, "high": error, "n": FRAMES * EPISODES}
-        sums = {"episode": list(range(EPISODES)), "n": [FRAMES] * EPISODES, "sum": [error * FRAMES] * EPISODES}
-        made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
-        return Entry(made)
-
-    return entry
-
-
 def test_the_page_draws_curves_of_three_budgets_and_says_what_is_needed(budgeted: Callable[..., Entry]) -> None:
     curve = [budgeted("a", "4", 4, 4.0), budgeted("a", "16", 16, 2.0), budgeted("a", "100%", 64, 1.0)]
     two_points = [budgeted("b", "10%", 6, 2.0), budgeted("b", "100%", 64, 1.0)]

@@ -247,6 +247,11 @@ def test_what_most_entries_were_trained_on_is_not_said_of_another_one(sound: Ent
         assert ("<dt>without</dt><dd>trained on, gain</dd>" in own) == ("another" in own)
 
 
+def test_the_page_says_which_command_fetches_the_samples_of_an_entry(sound: Entry) -> None:
+    read = " ".join("".join(Reader(make_page([sound])).said).split())
+    assert "The samples that the figures are made of are part of the run: dmbench share pull entries/NAME.json" in read
+
+
 def test_a_picture_that_cannot_be_read_is_named_with_its_file(changed: Changed, sound: Entry) -> None:
     spoilt = changed(pictures=[dict(sound.pictures[0]) | {"predicted": "A" * 60}])
 

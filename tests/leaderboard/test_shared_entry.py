@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -73,6 +74,8 @@ def test_an_outsider_checks_an_entry_from_files_alone(
     assert checked.out.startswith(f"holds          {RUN} ({len(sound.figures)} figures, "), checked.out
     assert checked.code == 0
     assert [path.name for path in outsider.all_runs()] == [RUN]
+    samples = (outsider.runs / RUN / "report" / "samples.parquet").read_bytes()
+    assert hashlib.sha256(samples).hexdigest() == sound.content["samples"]["sha256"]
     again = dmbench(["share", "pull", str(entry), "--from", place], capsys, monkeypatch)
     assert again.out.count("was here already") == 2
     assert f"Check with 'dmbench leaderboard check {entry}'." in again.out

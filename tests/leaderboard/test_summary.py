@@ -81,8 +81,10 @@ def test_the_published_entries_give_rliable_s_values(published: Summary) -> None
     for model, one in known.items():
         assert (one.interval is None) == (len(said["scores"][model]) == 1)
         if one.interval is not None:
-            low, high = said["interval"][model]  # of other draws than ours
-            assert one.interval == pytest.approx((low, high), abs=max(2e-5, 1e-3 * (high - low)))
+            bounds = said["interval"][model]  # the lowest and the highest that were found, of other draws than ours
+            room = 0.06 * (bounds[1][1] - bounds[0][0])
+            for found, (least, most) in zip(one.interval, bounds, strict=True):
+                assert least - room <= found <= most + room
 
 
 @pytest.mark.slow

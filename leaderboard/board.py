@@ -18,19 +18,20 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final, TypeVar
 
+from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.registry import environment_title, environment_versions
 from dmotion_bench.scoring.report import CONTRACT
 from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
-from leaderboard.column_table import ColumnTable, column_table
+from leaderboard.column_table import ColumnTable, column_table, rows_of_column
 from leaderboard.columns import TRUE_MOTION, control_steps
 from leaderboard.comparison import difference_by_episode
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.efficiency import beside_curves, label_curves
 from leaderboard.entry import Entry, Planner
 from leaderboard.row import Row
-from leaderboard.run_names import settings_of, unusual_settings, without_seed
+from leaderboard.run_names import settings_of, training_of, unusual_settings
 from leaderboard.value import Value, values_of
 
 RANKED_BY: Final = "mse"
@@ -100,6 +101,13 @@ class Board:
         """The rows without the points of label curves that have only a number for a budget."""
         return beside_curves(self.rows, RANKED_BY)
 
+    @cached_property
+    def by_headline(self) -> Board | None:
+        """The same data set with the rows of the headline's column alone; None where no model has any."""
+        rows = [] if self.control is None else rows_of_column(self.control, HEADLINE.name)
+        able = any(row.kind == "measured" for row in rows)
+        return replace(self, rows=tuple(rows), control=None, agreement=()) if able else None
+
     def reference(self, name: str) -> Mapping[str, Value]:
         """The figures of a reference, by its name in reports; none where it was not scored."""
         words = REFERENCE_WORDS.get(name, name)
@@ -123,7 +131,12 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
             groups[_board_key(entry)].append(entry)
         else:
             published[entry.environment].append(entry)
-    boards = [_board(own, published.get(key[0], [])) for key, own in groups.items()]
+    control = {
+        key: column_table([entry for entry in own if entry.column is not None], REFERENCE_WORDS)
+        for key, own in groups.items()
+    }
+    tables = [table for table in control.values() if table is not None]
+    boards = [_board(own, published.get(key[0], []), control[key], tables) for key, own in groups.items()]
     lonely = set(published) - {key[0] for key in groups}
     boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
     return sorted(
@@ -138,11 +151,19 @@ def _board_key(entry: Entry) -> tuple[str, ...]:
     return *of, str(settings["split"]), str(settings["protocol"])
 
 
-def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
-    """The board of some entries; those whose control a column planned are in a table of their own."""
+def _board(
+    every: Sequence[Entry], published: Sequence[Entry], control: ColumnTable | None, tables: Sequence[ColumnTable]
+) -> Board:
+    """The board of some entries.
+
+    Args:
+        every: Its entries.
+        published: Those of its environment.
+        control: The table of those whose control a column planned.
+        tables: Such tables of all boards.
+    """
     environment, _, dataset, fingerprint, split, protocol = _board_key(every[0])
     entries = [entry for entry in every if entry.column is None]
-    control = column_table([entry for entry in every if entry.column is not None], REFERENCE_WORDS)
     planner, usual = _planner_of(entries), _usual_settings(entries)
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     seen: dict[tuple[str, ...], int] = defaultdict(int)
@@ -166,24 +187,8 @@ def _board(every: Sequence[Entry], published: Sequence[Entry]) -> Board:
         triplets=int(max(counts)) if counts else None,
         rows=_sorted(rows),
         control=control,
-        agreement=agreements(
-            {(row.model, _plain_variant(row), row.labels): _comparable(row) for row in measured}, control
-        ),
+        agreement=agreements(measured, tables),
     )
-
-
-def _plain_variant(row: Row) -> str:
-    """A row's variant as the table of control by columns has it, which says on the board what all were trained on."""
-    return ", ".join(part for part in row.variant.split(", ") if not part.startswith("trained on "))
-
-
-def _comparable(row: Row) -> dict[str, Value]:
-    """A row's figures, without those of control by another planner than the board's."""
-    return {
-        name: value
-        for name, value in row.figures.items()
-        if not (row.planned_otherwise and name.startswith(CONTROLLED))
-    }
 
 
 def _planner_of(entries: Iterable[Entry]) -> Planner | None:
@@ -203,11 +208,7 @@ def _usual_settings(entries: Iterable[Entry]) -> dict[str, str]:
 
 
 def _row_key(entry: Entry) -> tuple[str, ...]:
-    content = entry.content
-    own = entry.trained_on or ""
-    settings = unusual_settings(entry)
-    told = entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own
-    return *told, without_seed(entry) if settings is None else settings, str(content["settings"]["precision"])
+    return *training_of(entry), str(entry.content["settings"]["precision"])
 
 
 def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapping[str, str]) -> Row:

@@ -10,6 +10,7 @@ from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.wording import rounded
+from leaderboard.agreement import JOINED
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
 from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
@@ -17,7 +18,7 @@ from leaderboard.comparison import GAIN_CAPTURED
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.label_table import label_lines
 from leaderboard.markdown import WIDTH, code, paragraph, plain, table
-from leaderboard.markdown_numbers import TO, between, figure, mean
+from leaderboard.markdown_numbers import TO, between, figure, mean, of_some
 from leaderboard.planners import tuned_share
 from leaderboard.row import Row, each
 from leaderboard.value import Value
@@ -99,10 +100,11 @@ def agreement_lines(board: Board) -> list[str]:
     """With what the gain captured agrees, over the board's rows."""
     head = ["Gain captured with", "Rows", "Spearman's correlation"]
     rows = [
-        [one.figure, str(one.correlation.n), f"{one.correlation.mean:.2f} ({_signed(one.correlation)})"]
+        [plain(one.figure), str(one.correlation.n), f"{one.correlation.mean:.2f} ({_signed(one.correlation)})"]
         for one in board.agreement
     ]
-    return table(head, rows, words=1)
+    lines = table(head, rows, words=1)
+    return [*lines, "", *textwrap.wrap(JOINED, WIDTH)] if any(one.joined for one in board.agreement) else lines
 
 
 def _signed(one: Estimate) -> str:
@@ -140,21 +142,27 @@ def _predictions(board: Board) -> list[str]:
         "Model": lambda row: plain(row.title),
         "Labels": budget,
         "Trainings": lambda row: trainings(row, RANKED_BY),
-        "MSE": lambda row: figure(row.figures[RANKED_BY], strong=row.ties),
+        "MSE": lambda row: known(row, RANKED_BY, partial(figure, strong=row.ties)),
         "paper": lambda row: mean(_published(paper, row).get(RANKED_BY)),
-        "pushes": lambda row: mean(row.figures.get("mse_push")),
-        "15 ahead": lambda row: mean(row.figures.get("rollout_mse[15]")),
-        f"{POSITION_CHARGED} [px]": lambda row: figure(row.figures.get("position_error_paper")),
-        f"{POSITION_FOUND} [px]": lambda row: mean(row.figures.get("position_error")),
+        "pushes": lambda row: known(row, "mse_push", mean),
+        "15 ahead": lambda row: known(row, "rollout_mse[15]", mean),
+        f"{POSITION_CHARGED} [px]": lambda row: known(row, "position_error_paper", figure),
+        f"{POSITION_FOUND} [px]": lambda row: known(row, "position_error", mean),
         "Gain captured": _gain,
     }
     return _lines(columns, rows)
 
 
+def known(row: Row, name: str, words: Callable[[Value | None], str]) -> str:
+    """A figure of a row in words and, where some of its trainings lack it, how many have it."""
+    value = row.figures.get(name)
+    return words(value) + of_some(value, row.seeds)
+
+
 def _gain(row: Row) -> str:
     """The gain captured, with its interval if it is of all trainings of the row and their entries tell it."""
     value = row.figures.get(GAIN_CAPTURED)
-    text = _formatted(value, ".2f")
+    text = _formatted(value, ".2f") + of_some(value, row.seeds)
     if value is None or value.interval is None or value.seeds < row.seeds:
         return text
     low, high = value.interval
@@ -168,6 +176,11 @@ def _control(board: Board) -> list[str]:
     rows = [row for row in board.rows if row.kind != "published" and last in row.figures]
     paper = {(row.model, row.labels): row for row in board.rows if row.kind == "published"}
     steps = last.partition("[")[2].rstrip("]")
+
+    def beside(row: Row, name: str, words: Callable[[Value | None], str]) -> str:
+        value = row.figures.get(name)
+        return words(value) + of_some(value, row.figures[last].seeds)
+
     columns: dict[str, Cell] = {
         "Model": lambda row: plain(row.title) + (f", {OTHER_PLANNER}" if row.planned_otherwise else ""),
         "Labels": budget,
@@ -175,9 +188,9 @@ def _control(board: Board) -> list[str]:
         "Tasks": lambda row: f"{row.figures[last].samples or ''}",
         f"Left after {steps} steps": lambda row: figure(row.figures[last], strong=last in row.leads),
         "paper": lambda row: mean(_published(paper, row).get(last)),
-        "after 40": lambda row: mean(row.figures.get("control_distance[40]")),
-        "Solved": lambda row: _formatted(row.figures.get("control_success"), ".0%"),
-        "Lost": lambda row: _formatted(row.figures.get("control_lost"), ".3g"),
+        "after 40": lambda row: beside(row, "control_distance[40]", mean),
+        "Solved": lambda row: beside(row, "control_success", partial(_formatted, form=".0%")),
+        "Lost": lambda row: beside(row, "control_lost", partial(_formatted, form=".3g")),
         "Tuned here": lambda row: tuned(board, row, last),
     }
     return _lines(columns, sorted(rows, key=lambda row: row.figures[last].mean))

@@ -27,7 +27,7 @@ from typing import Any, Final
 from dmotion_bench.errors import UsageError
 from leaderboard.board import AGENT_MOVES, REFERENCE_WORDS, Board
 from leaderboard.board_tables import budget, labels, trainings, tuned
-from leaderboard.column_table import Outcome
+from leaderboard.column_table import rows_of_column
 from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import between, figure, mean
 from leaderboard.row import Row
@@ -130,7 +130,8 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
     near = {f"{one.dataset}@{one.fingerprint[:8]}": one for one in boards if one.dataset}
     matching = [one for one in near.values() if one.dataset == name and one.fingerprint.startswith(fingerprint)]
     board = _only(choice, "board", choice.board, matching, list(near))
-    rows = _rows_of_column(board, choice) if choice.column else board.rows
+    of_column = [] if board.control is None else rows_of_column(board.control, choice.column)
+    rows = of_column if choice.column else board.rows
     able = {_key(row): row for row in rows if row.kind == "measured" and choice.figure in row.figures}
     wanted = (choice.model, choice.variant, choice.labels)
     row = _only(choice, "row", wanted, [row for key, row in able.items() if key == wanted], list(able))
@@ -153,40 +154,6 @@ def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
         baseline=baseline.figures[choice.figure] if baseline else None,
         agent_alone=agent_alone.figures[choice.figure] if agent_alone else None,
         paper=paper[0].figures.get(choice.figure) if paper else None,
-    )
-
-
-def _rows_of_column(board: Board, choice: Choice) -> list[Row]:
-    """The rows of control by a frozen planner, as a board has its other rows."""
-    table = board.control
-    found = (
-        [] if table is None else [(row, row.cells[choice.column]) for row in table.rows if choice.column in row.cells]
-    )
-    return [
-        Row(
-            kind="measured" if row.entries else "reference",
-            name=row.name,
-            model=row.name if row.entries else "",
-            variant=row.variant,
-            labels=row.labels,
-            label_count=row.label_count,
-            entries=row.entries,
-            figures={choice.figure: _value(cell)},
-        )
-        for row, cell in found
-    ]
-
-
-def _value(cell: Outcome) -> Value:
-    left = cell.left
-    return Value(
-        mean=left.mean,
-        low=left.low,
-        high=left.high,
-        std=None,
-        seeds=cell.trainings,
-        interval=None if left.low is None or left.high is None else (left.low, left.high),
-        samples=cell.tasks,
     )
 
 

@@ -24,7 +24,9 @@ from leaderboard.columns import control_steps
 from leaderboard.comparison import PARTS
 from leaderboard.control import PUBLISHED
 from leaderboard.entry import Entry
+from leaderboard.row import Row
 from leaderboard.run_names import unusual_settings, without_seed
+from leaderboard.value import Value
 
 SUCCEEDED: Final = "control_success"
 LOST: Final = "control_lost"
@@ -42,6 +44,7 @@ class Outcome:
         solved: The share of tasks that are solved, and Wilson's interval for so many tasks.
         lost: Objects lost, mean over tasks.
         tasks, trainings: How many there are.
+        after: The mean distance by the number of steps, as far as all trainings have it.
         sums, counts: Of each training each episode's sum of distances, and each episode's number of tasks; None of
             references.
     """
@@ -51,6 +54,7 @@ class Outcome:
     lost: float
     tasks: int
     trainings: int
+    after: Mapping[int, float]
     sums: Float[np.ndarray, "k e"] | None = None
     counts: Float[np.ndarray, " e"] | None = None
 
@@ -89,6 +93,7 @@ class ColumnTable:
     """The table of one data set's tasks.
 
     Attributes:
+        dataset, fingerprint: Of the data set.
         columns: Names of those that there are figures of, in their order.
         rows: The best of the first column first, references last.
         steps: Of a task.
@@ -96,6 +101,8 @@ class ColumnTable:
             models with several trainings.
     """
 
+    dataset: str
+    fingerprint: str
     columns: tuple[str, ...]
     rows: tuple[ColumnRow, ...]
     steps: int
@@ -132,7 +139,10 @@ def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTa
     columns = tuple(name for name in COLUMNS if any(name in row.cells for row in rows))
     far = float("inf")
     rows.sort(key=lambda row: (*(row.cells[name].left.mean if name in row.cells else far for name in columns), row.key))
+    dataset = known[0].content["dataset"]
     return ColumnTable(
+        dataset=dataset["name"],
+        fingerprint=dataset["fingerprint"],
         columns=columns,
         rows=(*rows, *_references(known, columns, figure, words)),
         steps=steps,
@@ -205,9 +215,17 @@ def _cell(entries: Sequence[Entry], figure: str) -> Outcome | None:
         lost=float(np.mean([entry.figures[LOST]["mean"] for entry, _ in same])),
         tasks=tasks,
         trainings=len(same),
+        after=_after([entry.figures for entry, _ in same]),
         sums=table,
         counts=counts,
     )
+
+
+def _after(trainings: Sequence[Mapping[str, Any]]) -> dict[int, float]:
+    """The distance after each step, as the mean over some trainings that all have it."""
+    named = {step: f"control_distance[{step}]" for step in control_steps(trainings[0])}
+    means = {step: [figures.get(name, {}).get("mean") for figures in trainings] for step, name in named.items()}
+    return {step: float(np.mean(own)) for step, own in means.items() if None not in own}
 
 
 def _references(
@@ -235,6 +253,41 @@ def _reference_cell(figures: Mapping[str, Any], figure: str) -> Outcome:
         lost=float(figures[LOST]["mean"]),
         tasks=tasks,
         trainings=0,
+        after=_after([figures]),
+    )
+
+
+def rows_of_column(table: ColumnTable, column: str) -> list[Row]:
+    """The rows that a column has cells of, as a board has its other rows: their distances after each step."""
+    found = [(row, row.cells[column]) for row in table.rows if column in row.cells]
+    return [
+        Row(
+            kind="measured" if row.entries else "reference",
+            name=row.name,
+            model=row.name if row.entries else "",
+            variant=row.variant,
+            labels=row.labels,
+            label_count=row.label_count,
+            entries=tuple(entry for entry in row.entries if entry.column == column),
+            figures={f"control_distance[{step}]": _value(cell, step, table.steps) for step in cell.after},
+        )
+        for row, cell in found
+    ]
+
+
+def _value(cell: Outcome, step: int, last: int) -> Value:
+    """The distance after a step; its interval is known at the end alone."""
+    if step < last:
+        return Value(mean=cell.after[step], low=None, high=None, std=None, seeds=cell.trainings, samples=cell.tasks)
+    left = cell.left
+    return Value(
+        mean=left.mean,
+        low=left.low,
+        high=left.high,
+        std=None,
+        seeds=cell.trainings,
+        interval=None if left.low is None or left.high is None else (left.low, left.high),
+        samples=cell.tasks,
     )
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
+from dmotion_bench.planning.columns import HEADLINE
 from leaderboard.board import OTHER_PLANNER, Board
 from leaderboard.board_tables import tuned_words
 from leaderboard.chart import COLORS, MARKERS, Axis, Guide, Point, Series, Style, key, line_chart
@@ -49,7 +50,12 @@ def _measured_on(model: str, boards: Iterable[Board]) -> int:
 
 def _drawn(board: Board) -> list[tuple[str, str]]:
     """The models and variants that a board has lines of."""
-    return sorted({(row.model, row.variant) for row in board.rows if row.model})
+    return sorted({(row.model, row.variant) for one in _sides(board) for row in one.rows if row.model})
+
+
+def _sides(board: Board) -> list[Board]:
+    """A board and, where it has control by the headline's frozen planner, the rows of that as another."""
+    return [board] if board.by_headline is None else [board, board.by_headline]
 
 
 def legend(board: Board, styles: Styles) -> Markup:
@@ -63,7 +69,7 @@ def legend(board: Board, styles: Styles) -> Markup:
         ring = element("span", key(Style(-1), ringed=True), "ringed: demonstrations of each action", class_="kind")
         items.append(element("li", ring))
     kinds = []
-    if any(_dash(row) == "dashed" for row in board.rows_beside_curves):
+    if any(_dash(row) == "dashed" for one in _sides(board) for row in one.rows_beside_curves):
         elsewhere = ", or trained on another data set" if any(row.elsewhere for row in board.rows) else ""
         kinds.append(f"dashed: a share of the labels, or more demonstrations than one{elsewhere}")
     if any(row.kind == "published" for row in board.rows):
@@ -91,15 +97,8 @@ def charts(board: Board, styles: Styles) -> Markup | None:
             f"Position error over the rollout: {where}",
             log=True,
         ),
-        _ahead(
-            board,
-            styles,
-            "control_distance",
-            "distance to the goal / at the start",
-            "control step",
-            f"Control: {where}",
-            every=10,
-        ),
+        _control(board, styles, f"Control: {where}"),
+        _control(board.by_headline, styles, f"Control by the frozen planner {HEADLINE.title}: {where}"),
     ]
     return element("div", *drawn, class_="charts") if any(drawn) else None
 
@@ -209,6 +208,14 @@ def _steps(row: Row, base: str) -> list[Point]:
     places = [(int(found[2]), name) for name in row.figures if (found := _AHEAD.fullmatch(name)) and found[1] == base]
     start = [Point(x=0.0, y=1.0)] if base == "control_distance" and places and min(places)[0] > 0 else []
     return start + [point_of(float(step), row, name) for step, name in sorted(places)]
+
+
+def _control(board: Board | None, styles: Styles, title: str) -> Markup | None:
+    """The distance that is left over the steps of control."""
+    if board is None:
+        return None
+    words = "distance to the goal / at the start"
+    return _ahead(board, styles, "control_distance", words, "control step", title, every=10)
 
 
 def _title(board: Board, row: Row, base: str) -> str:

@@ -26,6 +26,11 @@ def mean(value: Value | None) -> str:
     return "" if value is None else rounded(value.mean)
 
 
+def of_some(value: Value | None, trainings: int) -> str:
+    """Behind a figure that is the mean of fewer trainings than there are: of how many, such as ``(1 of 3)``."""
+    return "" if value is None or value.seeds >= trainings else f" ({value.seeds} of {trainings})"
+
+
 def between(low: float | None, high: float | None) -> str:
     """An interval as text on one line, with two digits for numbers below 10."""
     bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else rounded(one) for one in (low, high))

@@ -13,9 +13,19 @@ from functools import partial
 from importlib import resources
 from typing import Final, TypeVar
 
-from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.planning.columns import COLUMNS, HEADLINE
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
-from leaderboard.board_tables import budget, budget_words, each_trainings, left, solved, trainings, tuned, tuned_words
+from leaderboard.board_tables import (
+    budget,
+    budget_words,
+    each_trainings,
+    known,
+    left,
+    solved,
+    trainings,
+    tuned,
+    tuned_words,
+)
 from leaderboard.chart import HEIGHT, WIDTH, Axis, Guide, Point, Series, Style, line_chart, marker
 from leaderboard.column_table import ColumnRow, Outcome
 from leaderboard.columns import POSITION_CHARGED
@@ -33,6 +43,9 @@ NOTHING: Final = "The leaderboard holds no result of this model yet."
 SHOWN: Final = (
     "The charts show every step ahead and every control step. Of each data set they have the variant with the least "
     "error, with the usual label budget and, dashed, with others."
+)
+OF_HEADLINE: Final = (
+    f"That of control is by the frozen planner *{HEADLINE.title}*, with the variant that leaves the least distance."
 )
 FROZEN: Final = (
     "Control by [frozen planners](../protocol.md#control-by-frozen-planners), on test tasks that nothing was tuned on: "
@@ -54,9 +67,9 @@ def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
     """The lines of a model's results in a Markdown page; a sentence where there are none."""
     predicted = [place for place in _places(model, boards) if RANKED_BY in place[1].figures]
     frozen = _frozen(model, boards)
-    if not predicted:
-        return ["", *(frozen or [NOTHING]), ""]
-    lines = ["", *_predictions(predicted, boards)]
+    if not predicted and not frozen:
+        return ["", NOTHING, ""]
+    lines = ["", *_predictions(predicted, boards)] if predicted else []
     if any(model == name for board in boards for name, _ in board.label_curves):
         lines += ["", CURVE]
     if frozen:
@@ -65,7 +78,7 @@ def model_lines(model: str, boards: Sequence[Board]) -> list[str]:
     if controlled:
         lines += ["", *_control(controlled, boards, "Control by other planners" if frozen else "Control")]
     if pictures := _pictures(model, boards):
-        lines += ["", *_wrapped(SHOWN)]
+        lines += ["", *_wrapped(f"{SHOWN} {OF_HEADLINE}" if _by_headline(model, boards) else SHOWN)]
     for kind, words in pictures.items():
         lines += ["", f"![{words}]({CURVES}/{model}-{kind}.svg)"]
     return [*lines, ""]
@@ -83,9 +96,10 @@ def _pictures(model: str, boards: Sequence[Board]) -> dict[str, str]:
     """Which charts there are of a model, and what each shows."""
     said = {
         "rollout": f"{model}: error by steps ahead, over that of copying",
-        "control": f"{model}: distance to the goals by control step",
+        "control": f"{model}: distance to the goals by control step"
+        + (f", frozen planner {HEADLINE.title}" if _by_headline(model, boards) else ""),
     }
-    able = {"rollout": _drawn(model, boards, "rollout_mse"), "control": _drawn(model, boards, "control_distance")}
+    able = {"rollout": _drawn(model, boards, "rollout_mse"), "control": _drawn_of_control(model, boards)}
     return {kind: words for kind, words in said.items() if able[kind]}
 
 
@@ -101,11 +115,11 @@ def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
         "Variant": lambda board, row: plain(row.variant),
         "Labels": lambda board, row: budget(row),
         "Trainings": lambda board, row: trainings(row, RANKED_BY).partition(":")[0],
-        "MSE": lambda board, row: figure(row.figures[RANKED_BY], strong=row.ties),
+        "MSE": lambda board, row: known(row, RANKED_BY, partial(figure, strong=row.ties)),
         "copying": lambda board, row: mean(board.reference("copy_last").get(RANKED_BY)),
         "paper": lambda board, row: mean(_published(board, row).get(RANKED_BY)),
-        "15 ahead": lambda board, row: mean(row.figures.get("rollout_mse[15]")),
-        f"{POSITION_CHARGED} [px]": lambda board, row: figure(row.figures.get("position_error_paper")),
+        "15 ahead": lambda board, row: known(row, "rollout_mse[15]", mean),
+        f"{POSITION_CHARGED} [px]": lambda board, row: known(row, "position_error_paper", figure),
     }
     note = (
         "Error of the predicted next frame on the test episodes, with its 95% interval over them; of several trainings "
@@ -122,7 +136,9 @@ def _control(places: Sequence[Place], boards: Sequence[Board], what: str) -> lis
         "Variant": lambda board, row: plain(row.variant),
         "Labels": lambda board, row: budget(row),
         "Tasks": lambda board, row: f"{row.figures[_last(row) or ''].samples or ''}",
-        "Distance left": lambda board, row: figure(row.figures[_last(row) or ""], strong=_last(row) in row.leads),
+        "Distance left": lambda board, row: known(
+            row, _last(row) or "", partial(figure, strong=_last(row) in row.leads)
+        ),
         "idle": lambda board, row: mean(board.reference("idle").get(_last(row) or "")),
         "true simulator": lambda board, row: mean(board.reference("oracle").get(_last(row) or "")),
         "paper": lambda board, row: mean(_published(board, row).get(_last(row) or "")),
@@ -198,7 +214,11 @@ def _last(row: Row) -> str | None:
 
 
 def _steps(row: Row, base: str) -> dict[int, float]:
-    places = ((_STEP.fullmatch(name), value.mean) for name, value in row.figures.items())
+    return _of_steps(row.figures, base)
+
+
+def _of_steps(figures: Mapping[str, Value], base: str) -> dict[int, float]:
+    places = ((_STEP.fullmatch(name), value.mean) for name, value in figures.items())
     return dict(sorted((int(found[2]), value) for found, value in places if found and found[1] == base))
 
 
@@ -211,6 +231,25 @@ def _drawn(model: str, boards: Sequence[Board], base: str) -> list[Place]:
             continue
         if key not in best or row.figures[RANKED_BY].mean < best[key][1].figures[RANKED_BY].mean:
             best[key] = (board, row)
+    return _one_of_shots(best)
+
+
+def _drawn_of_control(model: str, boards: Sequence[Board]) -> list[Place]:
+    """The rows of control by the headline's frozen planner; of a model without these, by the boards' planners."""
+    return _by_headline(model, boards) or _drawn(model, boards, "control_distance")
+
+
+def _by_headline(model: str, boards: Sequence[Board]) -> list[Place]:
+    """Of each data set and label budget the model's first row of the headline's column, where the best are first."""
+    best: dict[tuple[str, str], Place] = {}
+    for board, row in _places(model, [one for board in boards if (one := board.by_headline) is not None]):
+        if len(_steps(row, "control_distance")) > 1:
+            best.setdefault((board.fingerprint, row.labels), (board, row))
+    return _one_of_shots(best)
+
+
+def _one_of_shots(best: Mapping[tuple[str, str], Place]) -> list[Place]:
+    """Rows by board and budget, without those of several demonstrations where there is one of one."""
     one_shot = {fingerprint for fingerprint, asked in best if asked == "one-shot"}
     return [
         place
@@ -234,26 +273,22 @@ def _rollout(model: str, boards: Sequence[Board], words: str) -> str:
 
 def _controlled(model: str, boards: Sequence[Board], words: str) -> str:
     series = []
-    for place in (places := _drawn(model, boards, "control_distance")):
+    for place in (places := _drawn_of_control(model, boards)):
         points = [Point(x=float(step), y=value) for step, value in _steps(place[1], "control_distance").items()]
         start = [] if points[0].x == 0 else [Point(x=0.0, y=1.0)]
         line = _series(place, places, boards, start + points)
         series.append(replace(line, name=line.name + tuned_words(*place, _last(place[1]) or "")))
     for name in ("idle", "oracle"):
-        found = [one for one in (board.reference(name) for board, _ in places) if one]
-        known = sorted((int(match[2]), value.mean) for one in found[:1] for match, value in _distances(one))
-        points = [Point(x=0.0, y=1.0), *(Point(x=float(step), y=value) for step, value in known)]
-        if known:
-            named = REFERENCE_WORDS[name]
+        curves = [(board, _of_steps(board.reference(name), "control_distance")) for board, _ in places]
+        first, steps = next(((board, own) for board, own in curves if own), curves[0])
+        points = [Point(x=0.0, y=1.0), *(Point(x=float(step), y=value) for step, value in steps.items())]
+        if steps:
+            alike = all(own == steps for _, own in curves)
+            named = REFERENCE_WORDS[name] + ("" if alike else f", {_dataset(first, boards)}")
             line = Series(name=named, points=points, style=Style(-1), dash="dotted", marked=frozenset(), labelled=True)
             series.append(line)
     axes = Axis(label="control step"), Axis(label="distance to the goal / at the start", zero=True)
     return _file(line_chart(words, *axes, series, sized=True), series)
-
-
-def _distances(figures: Mapping[str, Value]) -> list[tuple[re.Match[str], Value]]:
-    found = ((_STEP.fullmatch(name), value) for name, value in figures.items())
-    return [(match, value) for match, value in found if match and match[1] == "control_distance"]
 
 
 def _series(place: Place, places: Sequence[Place], boards: Sequence[Board], points: Sequence[Point]) -> Series:

@@ -17,6 +17,14 @@ def without_seed(entry: Entry) -> str:
     return re.sub(r"-s\d+$", "", entry.name)
 
 
+def training_of(entry: Entry) -> tuple[str, ...]:
+    """What decides a training but its seed: the same for all trainings of a row, on whatever data they were scored."""
+    content, settings = entry.content, unusual_settings(entry)
+    own = content["dataset"].get("trained_on", content["dataset"])
+    told = entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own["fingerprint"]
+    return *told, without_seed(entry) if settings is None else settings
+
+
 def settings_of(entry: Entry) -> str:
     """The part after model, architecture, data set and budget, such as ``small, epochs 3``; else the whole name."""
     known = _after_budget(entry)

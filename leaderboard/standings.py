@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 from dmotion_bench.planning.columns import COLUMNS
+from leaderboard.agreement import JOINED
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.board_tables import tuned
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable
@@ -146,7 +147,9 @@ def agreement_note(board: Board) -> Markup | None:
         f"{one.correlation.n} rows)"
         for one in board.agreement
     )
-    return element("p", f"Rank correlation of the gain captured with other figures, over rows: {said}.", class_="note")
+    joined = f" {JOINED}" if any(one.joined for one in board.agreement) else ""
+    words = f"Rank correlation of the gain captured with other figures, over rows: {said}.{joined}"
+    return element("p", words, class_="note")
 
 
 def _of_control(figures: Iterable[str]) -> set[str]:

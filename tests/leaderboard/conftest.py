@@ -35,6 +35,8 @@ from recorders.grid_world import GridWorld
 SETTINGS = ScoreSettings(horizon=3, resamples=200)
 EPISODES = list(range(40))
 FRAMES = 25
+TASK_EPISODES = list(range(25))
+"""Of the tasks that ``controlled`` makes entries of; one each."""
 
 
 @pytest.fixture(autouse=True)
@@ -116,6 +118,60 @@ def controlled(entry: Entry, model: str, distance: float) -> Entry:
     content["figures"] |= figures(distance)
     content["reference"] |= {"idle": figures(1.0), "oracle": figures(0.1)}
     return Entry(content)
+
+
+def figure_over(mean: float, n: int) -> dict[str, Any]:
+    """A figure of control over some tasks."""
+    return {"mean": mean, "std": 0.1, "low": mean - 0.05, "high": mean + 0.05, "n": n}
+
+
+@pytest.fixture(name="controlled")
+def _controlled_by_column(sound: Entry) -> Callable[..., Entry]:
+    """Makes an entry of one training's control by a column."""
+
+    def make(
+        model: str,
+        left: np.ndarray,
+        *,
+        column: str | None = "generic",
+        seed: int = 0,
+        labels: str = "one-shot",
+        **more: Any,
+    ) -> Entry:
+        content = copy.deepcopy(dict(sound.content))
+        n = len(left)
+        dataset = content["dataset"] | {"name": "grid-test", "trained_on": {"name": "grid", "fingerprint": "0" * 64}}
+        idle = {
+            "control_distance[2]": figure_over(1.0, n),
+            "control_success": figure_over(0.0, n),
+            "control_lost": figure_over(0.0, n),
+        }
+        oracle = idle | {"control_distance[2]": figure_over(0.1 if column == "paper" else 0.05, n)}
+        content |= {
+            "protocol": "dmbench-1" if column is None else "dmbench-2",
+            "model": model,
+            "seed": seed,
+            "run": f"{model}-grid-tiny-s{seed}",
+            "weights": f"{seed:064x}",
+            "labels": {"asked": labels, "given": {}, "total": 4},
+            "dataset": dataset,
+            "settings": content["settings"]
+            | {"metrics": ["control"], "control_version": 1}
+            | ({} if column is None else {"control_column": column}),
+            "figures": {
+                "control_distance[1]": figure_over(0.9, n),
+                "control_distance[2]": figure_over(float(left.mean()), n),
+                "control_success": figure_over(float((left <= 0.2).mean()), n),
+                "control_lost": figure_over(0.1, n),
+            },
+            "by_episode": {"control_distance[2]": {"episode": TASK_EPISODES, "n": [1] * n, "sum": left.tolist()}},
+            "reference": {"idle": idle, "oracle": oracle},
+            "remarks": {},
+            "pictures": [],
+        }
+        return Entry(content | more)
+
+    return make
 
 
 @pytest.fixture

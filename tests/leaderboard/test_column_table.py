@@ -37,70 +37,20 @@ from leaderboard.entry import Entry
 from leaderboard.model_results import model_lines
 from leaderboard.page import make_page
 
+from .conftest import TASK_EPISODES, figure_over
+
 MakeEntry = Callable[..., Entry]
-EPISODES = list(range(25))
-
-
-def _figure(mean: float, n: int) -> dict[str, Any]:
-    return {"mean": mean, "std": 0.1, "low": mean - 0.05, "high": mean + 0.05, "n": n}
-
-
-@pytest.fixture
-def controlled(sound: Entry) -> MakeEntry:
-    """Makes an entry of one training's control by a column."""
-
-    def make(
-        model: str,
-        left: np.ndarray,
-        *,
-        column: str | None = "generic",
-        seed: int = 0,
-        labels: str = "one-shot",
-        **more: Any,
-    ) -> Entry:
-        content = copy.deepcopy(dict(sound.content))
-        n = len(left)
-        dataset = content["dataset"] | {"name": "grid-test", "trained_on": {"name": "grid", "fingerprint": "0" * 64}}
-        idle = {
-            "control_distance[2]": _figure(1.0, n),
-            "control_success": _figure(0.0, n),
-            "control_lost": _figure(0.0, n),
-        }
-        oracle = idle | {"control_distance[2]": _figure(0.1 if column == "paper" else 0.05, n)}
-        content |= {
-            "protocol": "dmbench-1" if column is None else "dmbench-2",
-            "model": model,
-            "seed": seed,
-            "run": f"{model}-grid-tiny-s{seed}",
-            "weights": f"{seed:064x}",
-            "labels": {"asked": labels, "given": {}, "total": 4},
-            "dataset": dataset,
-            "settings": content["settings"]
-            | {"metrics": ["control"], "control_version": 1}
-            | ({} if column is None else {"control_column": column}),
-            "figures": {
-                "control_distance[1]": _figure(0.9, n),
-                "control_distance[2]": _figure(float(left.mean()), n),
-                "control_success": _figure(float((left <= 0.2).mean()), n),
-                "control_lost": _figure(0.1, n),
-            },
-            "by_episode": {"control_distance[2]": {"episode": EPISODES, "n": [1] * n, "sum": left.tolist()}},
-            "reference": {"idle": idle, "oracle": oracle},
-            "remarks": {},
-            "pictures": [],
-        }
-        return Entry(content | more)
-
-    return make
 
 
 @pytest.fixture
 def left() -> dict[tuple[str, int], np.ndarray]:
     """What two models leave: three trainings of one, two of the other."""
     generator = np.random.default_rng(0)
-    task = generator.random(len(EPISODES)) * 0.4
+    task = generator.random(len(TASK_EPISODES)) * 0.4
     seeds = [("dmotion", seed) for seed in range(3)] + [("ed-cnn", seed) for seed in range(2)]
-    return {key: task + 0.1 * generator.random(len(EPISODES)) + (0.0 if key[0] == "dmotion" else 0.2) for key in seeds}
+    return {
+        key: task + 0.1 * generator.random(len(TASK_EPISODES)) + (0.0 if key[0] == "dmotion" else 0.2) for key in seeds
+    }
 
 
 @pytest.fixture
@@ -197,13 +147,13 @@ def test_a_trial_with_other_settings_is_not_in_the_table(
 ) -> None:
     """Planned with another seed, over a few tasks, or over more steps than a column has."""
     honest = [controlled(model, own, seed=seed) for (model, seed), own in left.items()]
-    best = np.zeros(len(EPISODES))
+    best = np.zeros(len(TASK_EPISODES))
     lucky = controlled("lucky", best)
     lucky = Entry(dict(lucky.content) | {"settings": lucky.content["settings"] | {"control_seed": 17}})
-    sums = {"control_distance[2]": {"episode": EPISODES[:7], "n": [1] * 7, "sum": [0.0] * 7}}
+    sums = {"control_distance[2]": {"episode": TASK_EPISODES[:7], "n": [1] * 7, "sum": [0.0] * 7}}
     few = controlled("few", best[:7], by_episode=sums)
     long = controlled("long", best)
-    farther = {"control_distance[101]": _figure(0.0, len(best)), "control_distance[2]": _figure(0.0, len(best))}
+    farther = {"control_distance[101]": figure_over(0.0, len(best)), "control_distance[2]": figure_over(0.0, len(best))}
     long = Entry(dict(long.content) | {"figures": dict(long.content["figures"]) | farther})
 
     (board,) = make_boards([*honest, lucky, few, long])
@@ -218,7 +168,7 @@ def test_what_was_published_is_no_row_among_frozen_planners(
 ) -> None:
     """A report on the run's own data has the paper's figures beside its own, another planner's in other tasks."""
     entry = controlled("dmotion", left["dmotion", 0])
-    published = {"control_distance[2]": _figure(0.7, 25) | {"low": None, "high": None, "n": None}}
+    published = {"control_distance[2]": figure_over(0.7, 25) | {"low": None, "high": None, "n": None}}
     both = Entry(dict(entry.content) | {"reference": dict(entry.content["reference"]) | {"paper": published}})
 
     (with_paper,), (without,) = make_boards([both]), make_boards([entry])
@@ -337,39 +287,11 @@ def test_of_single_trainings_the_table_does_not_say_which_difference_it_can_show
     assert not board.control.detectable
 
 
-def test_the_gain_agrees_with_control_as_the_ranks_do(
-    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
-) -> None:
-    base, entries = left["dmotion", 0], []
-    whole = {"labels": {"asked": "100%", "given": {}, "total": 64}}
-    for place, name in enumerate("abcdefgh"):
-        entries.append(Entry(dict(controlled(name, base + 0.1 * place).content) | whole))
-        predicted = controlled(name, base, column=None)
-        figures = {"planning_gain": _figure(0.9 - 0.1 * place, 9), "mse": _figure(10.0 - place, 9)}
-        made = dict(predicted.content) | {"figures": figures, "by_episode": {}}
-        entries.append(Entry(made | whole))
-        for labels in ("8", "16", "5-shot"):  # a model's other budgets are no further rows
-            budget = {"labels": {"asked": labels, "given": {}, "total": 20}, "run": f"{name}-{labels}-s0"}
-            worse = {"figures": {"planning_gain": _figure(0.9, 9), "mse": _figure(90.0, 9)}}
-            entries.append(Entry(made | budget | worse))
-    (board,) = make_boards(entries)
-    found = {one.figure: one.correlation for one in board.agreement}
-
-    assert found["distance left, column generic"].mean == pytest.approx(-1.0)
-    assert found["MSE"].mean == pytest.approx(1.0)
-    assert found["MSE"].n == 8
-    assert "Spearman" in "\n".join(board_section(board))
-    assert "Rank correlation of the gain captured" in make_page(entries)
-    assert "Gain captured" in next(line for line in board_section(board) if line.startswith("| Model"))
-    (smaller,) = make_boards([entry for entry in entries if entry.model != "h"])
-    assert smaller.agreement == ()  # seven rows say too little
-
-
 def test_a_model_s_page_has_its_control_by_frozen_planners_first(
     controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
 ) -> None:
     old, new = (controlled("dmotion", left["dmotion", 0], column=column) for column in (None, "generic"))
-    predicted = {"figures": {**old.figures, "mse": _figure(1.0, 9)}}
+    predicted = {"figures": {**old.figures, "mse": figure_over(1.0, 9)}}
     boards = make_boards([Entry(dict(old.content) | predicted), new])
     lines = model_lines("dmotion", boards)
     heads = [line for line in lines if line.startswith("| Data set")]

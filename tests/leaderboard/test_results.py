@@ -20,6 +20,8 @@ from leaderboard.chosen import TUNED_NOTE, chosen_table, find_rows, numbers, rea
 from leaderboard.entry import Entry
 from leaderboard.entry_file import write_entry
 from leaderboard.markdown_numbers import TO
+from leaderboard.model_results import model_lines
+from leaderboard.page import make_page
 from leaderboard.results import filled, write_results
 
 EPISODES = 12
@@ -286,3 +288,25 @@ def test_the_command_writes_pages_and_notices_what_differs(
     assert "\n".join(board_section(board)) in page.read_text()
     assert dmbench([*words, "--check"], capsys, monkeypatch).out == f"{page}: as it was\n"
     assert write_results(tmp_path, [page]) == []
+
+
+def test_a_figure_of_fewer_trainings_than_the_row_has_says_of_how_many(
+    result: Callable[..., Entry], errors: list[np.ndarray]
+) -> None:
+    entries = [result("dmotion", one, run=f"dmotion-s{seed}", seed=seed) for seed, one in enumerate(errors)]
+    known = {"mean": 0.5, "std": 1.0, "low": 0.4, "high": 0.6, "n": 9}
+    lone = dict.fromkeys(("planning_gain", "mse_push", "position_error_paper", "control_distance[50]"), known)
+    entries[0] = Entry(dict(entries[0].content) | {"figures": entries[0].content["figures"] | lone})
+    boards = make_boards(entries)
+
+    lines = [line.split("|")[1:-1] for line in board_section(boards[0]) if line.startswith("|")]
+    row = next(line for line in lines if line[0].strip() == "dmotion")
+    cells = {head.strip(): cell.strip() for head, cell in zip(lines[0], row, strict=True)}
+    assert cells["Gain captured"] == "0.50 (1 of 2)"
+    assert cells["pushes"] == "0.500 (1 of 2)"
+    assert cells["Position error, missing charged [px]"] == f"0.500 (0.40{TO}0.60) (1 of 2)"
+    assert "of" not in cells["MSE"]
+    own = "\n".join(model_lines("dmotion", boards))
+    assert own.count(f"0.500 (0.40{TO}0.60) (1 of 2)") == 1
+    assert f"**0.500** (0.40{TO}0.60) (1 of 2)" in own  # the distance that is left
+    assert "1 of 2 seeds" in make_page(entries)

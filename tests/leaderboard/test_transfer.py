@@ -176,6 +176,8 @@ def test_an_entry_on_an_import_is_checked_against_it(workspace: Workspace, on_im
         findings=(),
         figures=len(on_import.figures),
         samples=on_import.content["samples"]["rows"],
+        weights=on_import.content["weights"],
+        seed=on_import.content["seed"],
     )
     content = copy.deepcopy(dict(on_import.content))
     del content["dataset"]["trained_on"]["environment"]

@@ -7,7 +7,7 @@ training leaves on each task. Intervals are over tasks and trainings; shares of 
 from __future__ import annotations
 
 import itertools
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
@@ -25,7 +25,7 @@ from leaderboard.comparison import PARTS
 from leaderboard.control import PUBLISHED
 from leaderboard.entry import Entry
 from leaderboard.row import Row
-from leaderboard.run_names import unusual_settings, without_seed
+from leaderboard.run_names import training_of, unusual_settings, without_seed
 from leaderboard.value import Value
 
 SUCCEEDED: Final = "control_success"
@@ -132,10 +132,11 @@ def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTa
     known = [entry for entry in known if _tasks(entry, figure) == most]
     if not known:
         return None
-    groups: dict[RowKey, dict[str, list[Entry]]] = defaultdict(lambda: defaultdict(list))
+    groups: dict[tuple[str, ...], dict[str, list[Entry]]] = defaultdict(lambda: defaultdict(list))
     for entry in known:
-        groups[_key(entry)][str(entry.column)].append(entry)
-    rows = [_row(key, by_column, figure) for key, by_column in groups.items()]
+        groups[training_of(entry)][str(entry.column)].append(entry)
+    firsts = [next(iter(by_column.values()))[0] for by_column in groups.values()]
+    rows = [_row(key, by_column, figure) for key, by_column in zip(_keys(firsts), groups.values(), strict=True)]
     columns = tuple(name for name in COLUMNS if any(name in row.cells for row in rows))
     far = float("inf")
     rows.sort(key=lambda row: (*(row.cells[name].left.mean if name in row.cells else far for name in columns), row.key))
@@ -171,15 +172,38 @@ def _last(entry: Entry) -> int:
     return max(control_steps(entry.figures), default=0)
 
 
-def _key(entry: Entry) -> RowKey:
-    """Model, variant and budget; the variant is what its run's name says beyond these, the preset and the seed.
+def _keys(entries: Sequence[Entry]) -> list[RowKey]:
+    """Of entries of different trainings: model, variant and budget.
 
-    The number of threads is left out: of two results of a seed one counts.
+    The variant is how the labels were used, if not as usual, and what the run's name says beyond these, the preset and
+    the seed. The number of threads is left out: of two results of a seed one counts. Where that is the same for several
+    trainings, it also says what each was trained on, and for how long.
     """
+    keys = [_key(entry) for entry in entries]
+    often = Counter(keys)
+    told = [_key(entry, _origin(entry)) if often[key] > 1 else key for entry, key in zip(entries, keys, strict=True)]
+    often = Counter(told)  # data sets of one name
+    return [
+        _key(entry, _origin(entry), _trained_on(entry)["fingerprint"][:8]) if often[key] > 1 else key
+        for entry, key in zip(entries, told, strict=True)
+    ]
+
+
+def _key(entry: Entry, *more: str) -> RowKey:
     arch, settings = entry.content["arch"], unusual_settings(entry)
-    parts = [f"{arch} architecture"] * (arch != "compact")
+    parts = [f"{arch} architecture"] * (arch != "compact") + [entry.label_use, *more]
     parts.append(without_seed(entry) if settings is None else settings)
     return entry.model, ", ".join(part for part in parts if part), entry.labels
+
+
+def _origin(entry: Entry) -> str:
+    return f"trained on {_trained_on(entry)['name']}, preset {entry.content['preset']}"
+
+
+def _trained_on(entry: Entry) -> Mapping[str, Any]:
+    dataset = entry.content["dataset"]
+    own: Mapping[str, Any] = dataset.get("trained_on", dataset)
+    return own
 
 
 def _row(key: RowKey, by_column: Mapping[str, Sequence[Entry]], figure: str) -> ColumnRow:

@@ -108,6 +108,32 @@ def test_a_rows_variant_is_what_its_run_was_set_to(
     assert board.control.rows[0].variant == variant
 
 
+def test_trainings_that_differ_beyond_their_names_are_rows_of_their_own(
+    controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
+) -> None:
+    def trained_on(name: str, digit: str) -> dict[str, Any]:
+        origin = {"name": name, "fingerprint": digit * 64}
+        return {"name": "grid-test", "environment": "grid_world", "fingerprint": "1" * 64, "trained_on": origin}
+
+    def entry(name: str, digit: str, seed: int = 0) -> Entry:
+        run = f"dmotion-{name}-small-s{seed}"
+        data = trained_on(name, digit)
+        return controlled("dmotion", left["dmotion", seed], seed=seed, run=run, preset="small", dataset=data)
+
+    tuned = copy.deepcopy(dict(entry("grid", "2").content))
+    tuned["labels"] |= {"use": "finetuned"}
+    both = [entry("grid", "2"), entry("grid", "2", seed=1), entry("large", "3"), entry("large", "4"), Entry(tuned)]
+    (board,) = make_boards(both)
+
+    assert board.control is not None
+    assert {row.variant: row.cells["generic"].trainings for row in board.control.rows if row.entries} == {
+        "trained on grid, preset small": 2,
+        "trained on large, preset small, 33333333": 1,
+        "trained on large, preset small, 44444444": 1,
+        "fine-tuned on its labels": 1,
+    }
+
+
 def test_the_oracle_has_a_cell_for_each_column_and_idle_the_same(board: Board) -> None:
     assert board.control is not None
     idle, oracle = board.control.rows[-2:]

@@ -25,7 +25,7 @@ from leaderboard.comparison import PARTS
 from leaderboard.control import PUBLISHED
 from leaderboard.entry import Entry
 from leaderboard.row import Row
-from leaderboard.run_names import training_of, unusual_settings, without_seed
+from leaderboard.run_names import training_data_of, training_of, unusual_settings, without_seed
 from leaderboard.value import Value
 
 SUCCEEDED: Final = "control_success"
@@ -184,7 +184,7 @@ def _keys(entries: Sequence[Entry]) -> list[RowKey]:
     told = [_key(entry, _origin(entry)) if often[key] > 1 else key for entry, key in zip(entries, keys, strict=True)]
     often = Counter(told)  # data sets of one name
     return [
-        _key(entry, _origin(entry), _trained_on(entry)["fingerprint"][:8]) if often[key] > 1 else key
+        _key(entry, _origin(entry), training_data_of(entry)["fingerprint"][:8]) if often[key] > 1 else key
         for entry, key in zip(entries, told, strict=True)
     ]
 
@@ -197,13 +197,7 @@ def _key(entry: Entry, *more: str) -> RowKey:
 
 
 def _origin(entry: Entry) -> str:
-    return f"trained on {_trained_on(entry)['name']}, preset {entry.content['preset']}"
-
-
-def _trained_on(entry: Entry) -> Mapping[str, Any]:
-    dataset = entry.content["dataset"]
-    own: Mapping[str, Any] = dataset.get("trained_on", dataset)
-    return own
+    return f"trained on {training_data_of(entry)['name']}, preset {entry.content['preset']}"
 
 
 def _row(key: RowKey, by_column: Mapping[str, Sequence[Entry]], figure: str) -> ColumnRow:

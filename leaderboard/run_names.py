@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import re
-from typing import Final
+from collections.abc import Mapping
+from typing import Any, Final
 
 from leaderboard.entry import Entry
 
@@ -17,11 +18,18 @@ def without_seed(entry: Entry) -> str:
     return re.sub(r"-s\d+$", "", entry.name)
 
 
+def training_data_of(entry: Entry) -> Mapping[str, Any]:
+    """The name and the fingerprint of the data set that an entry's run was trained on."""
+    scored_on = entry.content["dataset"]
+    own: Mapping[str, Any] = scored_on.get("trained_on", scored_on)
+    return own
+
+
 def training_of(entry: Entry) -> tuple[str, ...]:
     """What decides a training but its seed: the same for all trainings of a row, on whatever data they were scored."""
     content, settings = entry.content, unusual_settings(entry)
-    own = content["dataset"].get("trained_on", content["dataset"])
-    told = entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, own["fingerprint"]
+    data = training_data_of(entry)["fingerprint"]
+    told = entry.model, content["arch"], content["preset"], entry.labels, entry.label_use, data
     return *told, without_seed(entry) if settings is None else settings
 
 

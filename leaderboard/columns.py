@@ -33,6 +33,9 @@ POSITION_CHARGED: Final = "Position error, missing charged"
 POSITION_FOUND: Final = "Position error, found objects"
 """What the two figures of the objects' places are called in every table and chart."""
 
+DISTANCE_LEFT: Final = "distance to the goal / at the start"
+"""What the axes of charts of control say."""
+
 TRUE_MOTION: Final = Column(
     figure="mse_true_motion",
     heading="MSE with the true motion",

@@ -11,7 +11,7 @@ from leaderboard.board import OTHER_PLANNER, Board
 from leaderboard.board_tables import tuned_words
 from leaderboard.chart import COLORS, MARKERS, Axis, Guide, Point, Series, Style, key, line_chart
 from leaderboard.chart_figure import Styles, chart_figure, chart_numbers, point_of
-from leaderboard.columns import POSITION_FOUND, UNWANTED, number
+from leaderboard.columns import DISTANCE_LEFT, POSITION_FOUND, UNWANTED, number
 from leaderboard.efficiency import SHOT
 from leaderboard.label_charts import label_charts
 from leaderboard.markup import Markup, element
@@ -214,8 +214,7 @@ def _control(board: Board | None, styles: Styles, title: str) -> Markup | None:
     """The distance that is left over the steps of control."""
     if board is None:
         return None
-    words = "distance to the goal / at the start"
-    return _ahead(board, styles, "control_distance", words, "control step", title, every=10)
+    return _ahead(board, styles, "control_distance", DISTANCE_LEFT, "control step", title, every=10)
 
 
 def _title(board: Board, row: Row, base: str) -> str:

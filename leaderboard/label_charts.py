@@ -2,20 +2,22 @@
 
 ``DRAWN`` lists the figures. Each has a chart of its values. An error is also drawn as multiples of the model's own with
 all labels, and of copying's. The gain captured is not: it is a share already, and a multiple of a number that may be
-zero or negative means nothing.
+zero or negative means nothing. Control is drawn of the headline's frozen planner, whose rows are on a board of their
+own: the data set of the tasks is not that of the training.
 """
 
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+from dmotion_bench.planning.columns import HEADLINE
 from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
 from leaderboard.chart import Axis, Guide, Point, Series, Style, line_chart
 from leaderboard.chart_figure import Styles, chart_figure, chart_numbers, point_of, reference_guides
-from leaderboard.columns import POSITION_CHARGED, ROLLOUT_STEPS, control_steps, count, number
+from leaderboard.columns import DISTANCE_LEFT, POSITION_CHARGED, ROLLOUT_STEPS, control_steps, count, number
 from leaderboard.comparison import GAIN_CAPTURED
 from leaderboard.efficiency import (
     FEWEST_BUDGETS,
@@ -30,6 +32,7 @@ from leaderboard.efficiency import (
 )
 from leaderboard.markup import Markup
 from leaderboard.row import Row
+from leaderboard.run_names import training_data_of
 
 COPYING: Final = REFERENCE_WORDS["copy_last"]
 _AHEAD: Final = ROLLOUT_STEPS[-1]
@@ -45,7 +48,8 @@ class Drawn:
         axis: What its axis says, the name by default.
         fewest: A model with fewer budgets has no line.
         divided: Whether it is drawn as multiples, too; only of an error, which is never negative.
-        higher: Whether more is better; the axis is linear then, since the figure may be negative.
+        higher: Whether more is better.
+        log: Whether the axis is logarithmic.
     """
 
     figure: str
@@ -54,13 +58,14 @@ class Drawn:
     fewest: int = FEWEST_BUDGETS
     divided: bool = False
     higher: bool = False
+    log: bool = True
 
 
 DRAWN: Final = (
     Drawn(figure=RANKED_BY, name="MSE", fewest=1, divided=True),
     Drawn(figure="position_error_paper", name="position error", axis=f"{POSITION_CHARGED.lower()} [px]", fewest=1),
     Drawn(figure=f"rollout_mse[{_AHEAD}]", name=f"MSE {_AHEAD} ahead", divided=True),
-    Drawn(figure=GAIN_CAPTURED, name="gain captured", higher=True),
+    Drawn(figure=GAIN_CAPTURED, name="gain captured", higher=True, log=False),
 )
 """The figures, in the order of their charts."""
 
@@ -82,11 +87,33 @@ def label_charts(board: Board, styles: Styles, where: str) -> list[Markup]:
                 _relative(board, styles, drawn, curves, where),
                 _against_copying(board, styles, drawn, curves, where),
             ]
+    if (control := _control(board)) is not None:
+        planned, drawn = control
+        charts.append(_plain(planned, styles, drawn, where))
     return [chart for chart in charts if chart is not None]
 
 
-def label_notes(board: Board) -> str:
-    """Which models of a board have no curve over labels, and which figures none is drawn of; empty without curves."""
+def _control(board: Board) -> tuple[Board, Drawn] | None:
+    """The rows whose control is drawn, the headline's first, and what is drawn; None without enough budgets."""
+    for planned, planner in ((board.by_headline, f" by the frozen planner {HEADLINE.title}"), (board, "")):
+        figures = {name for row in planned.rows for name in row.figures} if planned is not None else ()
+        if planned is None or not (steps := control_steps(figures)):
+            continue
+        drawn = Drawn(
+            figure=f"control_distance[{steps[-1]}]", name=f"control{planner}", axis=DISTANCE_LEFT, fewest=1, log=False
+        )
+        if _groups(planned, drawn.figure, FEWEST_BUDGETS):
+            return planned, drawn
+    return None
+
+
+def label_notes(board: Board, others: Iterable[Board] = ()) -> str:
+    """Which models of a board have no curve over labels, and which figures none is drawn of; empty without curves.
+
+    Args:
+        board: The board.
+        others: Of the same page; control is scored on tasks of another data set than that of the training.
+    """
     groups = (name for drawn in DRAWN for name in _groups(board, drawn.figure, FEWEST_BUDGETS))
     having = {model for kind, model, _ in groups if kind == "measured"}
     if not having:
@@ -103,10 +130,22 @@ def label_notes(board: Board) -> str:
         told.append(
             "What probes read of a model of video does not depend on its labels, which only name its latent actions."
         )
-    steps = control_steps(figures)
-    if not steps or not _groups(board, f"control_distance[{steps[-1]}]", FEWEST_BUDGETS):
+    scored_on = [one.dataset for one in (board, *others) if _has_control_of(board, one)]
+    if not scored_on:
         told.append("Control is not measured over labels, since every budget would cost planning of its own.")
+    elif board.dataset not in scored_on:
+        told.append(f"Control over labels is drawn on the board of {' and '.join(dict.fromkeys(scored_on))}.")
     return " ".join(told)
+
+
+def _has_control_of(board: Board, tasks: Board) -> bool:
+    """Whether a board draws control over the labels of a model that was trained on another's data set."""
+    if (found := _control(tasks)) is None:
+        return False
+    planned, drawn = found
+    groups = _groups(planned, drawn.figure, FEWEST_BUDGETS).values()
+    entries = (entry for rows in groups for row in rows for entry in row.entries)
+    return any(training_data_of(entry)["fingerprint"] == board.fingerprint for entry in entries)
 
 
 def _groups(board: Board, figure: str, fewest: int) -> dict[tuple[str, str, str], list[Row]]:
@@ -142,7 +181,7 @@ def _plain(board: Board, styles: Styles, drawn: Drawn, where: str) -> Markup | N
     axis = drawn.axis or drawn.name
     title = f"Label efficiency, {drawn.name}: {where}"
     chart = line_chart(
-        title, _label_axis(series), Axis(label=axis, log=not drawn.higher), series, reference_guides(board, figure)
+        title, _label_axis(series), Axis(label=axis, log=drawn.log), series, reference_guides(board, figure)
     )
     rows = sorted(
         ((row, _value(row, own, figure)) for own in lines for row in own),

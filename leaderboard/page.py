@@ -74,7 +74,7 @@ def _page(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary | 
         element("style", Markup(style)),
     )
     styles = assign_styles(boards)
-    sections = [_section(board, place, styles, steps[place]) for place, board in enumerate(boards)]
+    sections = [_section(boards, place, styles, steps[place]) for place in range(len(boards))]
     body = element(
         "body",
         _header(entries, boards, summary),
@@ -179,9 +179,10 @@ def _anchor(place: int) -> str:
     return f"board-{place + 1}"
 
 
-def _section(board: Board, place: int, styles: Styles, steps: int) -> Markup:
+def _section(boards: Sequence[Board], place: int, styles: Styles, steps: int) -> Markup:
+    board = boards[place]
     drawn = charts(board, styles)
-    notes = [element("p", note, class_="note") for note in [label_notes(board)] if note]
+    notes = [element("p", note, class_="note") for note in [label_notes(board, boards)] if note]
     return element(
         "section",
         element("h2", board.title, element("small", board.dataset) if board.dataset else None),

@@ -135,7 +135,7 @@ def _controlled_by_column(sound: Entry) -> Callable[..., Entry]:
         *,
         column: str | None = "generic",
         seed: int = 0,
-        labels: str = "one-shot",
+        labels: Any = "one-shot",
         **more: Any,
     ) -> Entry:
         content = copy.deepcopy(dict(sound.content))
@@ -153,7 +153,7 @@ def _controlled_by_column(sound: Entry) -> Callable[..., Entry]:
             "seed": seed,
             "run": f"{model}-grid-tiny-s{seed}",
             "weights": f"{seed:064x}",
-            "labels": {"asked": labels, "given": {}, "total": 4},
+            "labels": labels if isinstance(labels, dict) else {"asked": labels, "given": {}, "total": 4},
             "dataset": dataset,
             "settings": content["settings"]
             | {"metrics": ["control"], "control_version": 1}

@@ -5,13 +5,17 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 
+import numpy as np
 import pytest
 
+from dmotion_bench.planning.columns import HEADLINE
 from leaderboard.board import Board, make_boards
 from leaderboard.curves import assign_styles
 from leaderboard.entry import Entry
 from leaderboard.label_charts import label_charts, label_notes
 from leaderboard.page import make_page
+
+from .conftest import TASK_EPISODES
 
 Budgeted = Callable[..., Entry]
 BUDGETS = (("4", 4), ("16", 16), ("100%", 64))
@@ -124,5 +128,39 @@ def test_the_page_says_which_models_have_no_curve_and_what_is_not_drawn_over_lab
     assert "No curve" not in label_notes(make_boards(curve)[0])
     assert "probes" not in label_notes(make_boards(curve)[0])
     assert label_notes(make_boards([alone])[0]) == ""
-    controlled = _entries(budgeted, "a", "control_distance[40]", 0.9, 0.8, 0.7)
-    assert "Control" not in label_notes(make_boards(controlled)[0])
+    (controlled,) = make_boards(_entries(budgeted, "a", "control_distance[40]", 0.9, 0.8, 0.7))
+    assert "Control" not in label_notes(controlled)
+    assert [line[2] for line in _numbers(_charts(controlled)["Label efficiency, control"])[1:]] == [
+        "0.900",
+        "0.800",
+        "0.700",
+    ]
+
+
+def test_control_over_labels_is_drawn_with_the_tasks_and_the_board_of_the_training_says_where(
+    budgeted: Budgeted, controlled: Budgeted
+) -> None:
+    def planned(model: str, asked: str, total: int, left: float) -> Entry:
+        labels = {"asked": asked, "given": {}, "total": total}
+        return controlled(model, np.full(len(TASK_EPISODES), left), column=HEADLINE.name, labels=labels)
+
+    tasks = [planned("a", *budget, left) for budget, left in zip(BUDGETS, (0.9, 0.6, 0.3), strict=True)] + [
+        planned("b", "one-shot", 4, 0.5)
+    ]
+    own = tasks[0].content["dataset"]["trained_on"]
+    trained = [
+        Entry({**one.content, "dataset": one.content["dataset"] | own})
+        for one in _entries(budgeted, "a", GAIN, 0.1, 0.2, 0.3)
+    ]
+    boards = {board.dataset: board for board in make_boards([*tasks, *trained])}
+    training, test = boards[own["name"]], boards[tasks[0].content["dataset"]["name"]]
+
+    chart = _charts(test)[f"Label efficiency, control by the frozen planner {HEADLINE.title}"]
+    (x0, y0), (x1, y1), (x2, y2) = _line(chart, "a")
+    assert x0 < x1 < x2
+    assert y1 - y0 == pytest.approx(y2 - y1, abs=0.2)  # a linear axis
+    assert y2 > y0  # downwards on the page is less
+    assert ("b", "one-shot (4)", "0.500") in _numbers(chart)  # beside it, a model with one budget
+    assert f"Control over labels is drawn on the board of {test.dataset}." in label_notes(training, [training, test])
+    assert "Control is not measured over labels" in label_notes(training)
+    assert not [name for name in _charts(make_boards(tasks[1:])[0]) if "control" in name]

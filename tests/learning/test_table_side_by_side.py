@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import shutil
+from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -12,8 +15,10 @@ from mortal_workers import Deadly, called_apart, engine
 from walking_square import record_walks
 
 from dmotion_bench.learning.runs.start import TrainingRequest
-from dmotion_bench.learning.training.table import Row, TableJob, train_jobs, train_rows
+from dmotion_bench.learning.training.table import Row, TableJob, train_jobs, train_rows, train_side_by_side
 from dmotion_bench.specs import Preset
+from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.workspace import Workspace
 
 ROWS = (("lapo", ("one-shot", "8")), ("ed-cnn", ("100%",)), ("cswm", ("100%",)))
 SETTINGS = ("epochs=1", "precision=float32", "batch_size=8")
@@ -56,11 +61,54 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def in_turn(data: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def trained(data: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A workspace in which all was trained in turn."""
     workspace = tmp_path_factory.mktemp("in-turn")
     for job in jobs_in(data, workspace):
         assert [one.error for one in train_rows(job)] == [None] * len(job.rows)
-    return weights_in(workspace)
+    return workspace
+
+
+@pytest.fixture(scope="module")
+def in_turn(trained: Path) -> dict[str, str]:
+    return weights_in(trained)
+
+
+class Counting:
+    """An executor that does its jobs in this process, and remembers them."""
+
+    def __init__(self) -> None:
+        self.jobs: list[TableJob] = []
+
+    def map_unordered(self, function: Callable[[TableJob], Any], items: Iterable[TableJob]) -> Generator[Any]:
+        for item in items:
+            self.jobs.append(item)
+            yield function(item)
+
+
+def test_what_is_trained_needs_no_job(data: Path, trained: Path, tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path / "copied")
+    shutil.copytree(trained, workspace.root)
+    before = weights_in(workspace.root)
+    request = TrainingRequest(model="", preset=Preset.TINY, settings=SETTINGS)
+    chosen = [Row(model=model, labels=labels) for model, budgets in ROWS for labels in budgets]
+
+    def again(rows: Sequence[Row]) -> list[str]:
+        """The models of the jobs that were started."""
+        executor = Counting()
+        outcomes = list(train_side_by_side(request, rows, Dataset.open(data), workspace, executor))
+        assert {one.row for one in outcomes} == set(rows)
+        assert all(one.error is None and one.run is not None and one.run.result for one in outcomes)
+        return [job.rows[0].model for job in executor.jobs]
+
+    assert again(chosen) == []
+    (damaged,) = workspace.root.glob("runs/cswm-*")
+    (damaged / "best.safetensors").write_bytes(b"damaged")
+    assert again(chosen) == ["cswm"]
+    assert weights_in(workspace.root) == before
+    assert again([*chosen[:2], Row(model="lapo", labels="4"), *chosen[2:]]) == [
+        "lapo"
+    ]  # the others of its job wait for it
 
 
 def test_the_threads_of_whoever_calls_are_as_many_as_before(tmp_path: Path) -> None:

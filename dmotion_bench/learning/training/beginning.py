@@ -57,6 +57,11 @@ def finished_result(
     return None
 
 
+def is_finished(run: Run) -> bool:
+    """Whether a run is trained to its end and its weights are whole; its folder is left as it is."""
+    return run.result is not None and _damage(run) is None
+
+
 def _damage(run: Run) -> RunMissing | RunCorrupt | None:
     """Why the weights of a finished run cannot be used; None if they can."""
     try:

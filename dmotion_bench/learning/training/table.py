@@ -36,13 +36,13 @@ from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.beginning import finished_result
+from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
+from dmotion_bench.learning.training.beginning import finished_result, is_finished
 from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.workspace import Workspace
+from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
 SHOTS = ("one-shot", "5-shot", "20-shot")
 BUDGETS = {Supervision.NONE: SHOTS, Supervision.FEW: SHOTS, Supervision.ACTIONS: ("100%", "10%")}
@@ -271,7 +271,8 @@ def train_side_by_side(
 ) -> Generator[Outcome]:
     """Train every row, several models and seeds at a time; the outcomes come as they are ready.
 
-    A run's weights are those of ``train_table`` with as many threads.
+    A run's weights are those of ``train_table`` with as many threads. Where all rows of a model and seed are trained
+    already, no job is started for them: on a cluster it would wait for a machine to find nothing to do.
 
     Args:
         request, dataset, workspace: See ``train_table``.
@@ -284,10 +285,15 @@ def train_side_by_side(
         loaders: Threads of each that read the compressed files of a run that streams them; None for the usual number.
         how: Does a job.
     """
-    jobs = [
-        TableJob(
+    jobs = []
+    for (model, seed), own in itertools.groupby(chosen, key=job_of):
+        together = tuple(own)
+        if trained := _if_all_trained(request, together, dataset, workspace):
+            yield from trained
+            continue
+        job = TableJob(
             request=request,
-            rows=tuple(own),
+            rows=together,
             dataset=dataset.where if isinstance(dataset.where, str) else dataset.where.absolute(),
             workspace=workspace.root.absolute(),
             device=device,
@@ -296,9 +302,28 @@ def train_side_by_side(
             trackers=trackers,
             loaders=loaders,
         )
-        for (model, seed), own in itertools.groupby(chosen, key=job_of)
-    ]
-    yield from train_jobs(jobs, executor, how)
+        jobs.append(job)
+    if jobs:
+        yield from train_jobs(jobs, executor, how)
+
+
+def _if_all_trained(
+    request: TrainingRequest, chosen: Iterable[Row], dataset: Dataset, workspace: Workspace
+) -> list[Outcome]:
+    """The outcomes of rows that are all trained to their end, and none if one is not; no folder is changed."""
+    outcomes = []
+    for row in chosen:
+        wanted = row.request(request)
+        try:
+            if not (default_path(wanted, resolve(wanted, dataset), workspace) / RUN_MANIFEST).exists():
+                return []
+            run = open_run(wanted, dataset, None, workspace)
+            if not is_finished(run):
+                return []
+        except Exception:  # whatever it is, of a stranger's model too: the job meets it again and says it
+            return []
+        outcomes.append(Outcome(row=row, run=run))
+    return outcomes
 
 
 def job_of(row: Row) -> tuple[str, int | None]:

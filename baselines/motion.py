@@ -11,7 +11,7 @@ from typing import Protocol, runtime_checkable
 
 import torch
 import torch.nn.functional as F
-from einops import rearrange, repeat
+from einops import rearrange
 from jaxtyping import Float
 from torch import Tensor
 
@@ -168,8 +168,3 @@ def theta_of_shift(shift: Float[Tensor, "*b 2"], size: int) -> Float[Tensor, "*b
 def pixel_shift(translation: Float[Tensor, "*b 2"], size: int) -> Float[Tensor, "*b 2"]:
     """How far a translation (t_x, t_y) moves a map of ``size`` pixels: (right, down) [px of the map]."""
     return -translation * (size - 1) / 2
-
-
-def tiled(values: Float[Tensor, "b a"], height: int, width: int) -> Float[Tensor, "b a h w"]:
-    """A vector at every place of a map."""
-    return repeat(values, "b a -> b a h w", h=height, w=width)

@@ -12,7 +12,7 @@ from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.wording import rounded
 from leaderboard.agreement import JOINED
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
-from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome
+from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome, detectable_words
 from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
 from leaderboard.comparison import GAIN_CAPTURED
 from leaderboard.control import FIGURES as CONTROLLED
@@ -63,11 +63,8 @@ def column_lines(control: ColumnTable) -> list[str]:
     lines = table(list(columns), [[cell(row) for cell in columns.values()] for row in control.rows])
     words = [f"Distance left after {control.steps} steps, with the 95% interval over tasks and trainings."]
     words += [f"Solved: {SOLVED_AT:g} of the distance or less, with Wilson's interval."]
-    words += [
-        f"{COLUMNS[name].title}: differences below {rounded(one)} between two models are too small for this table."
-        for name, one in control.detectable.items()
-    ]
-    return [*lines, "", *textwrap.wrap(" ".join(words), WIDTH)]
+    words += [detectable_words(control, rounded)]
+    return [*lines, "", *textwrap.wrap(" ".join(words).rstrip(), WIDTH)]
 
 
 def _of_column(name: str, words: Callable[[Outcome | None], str], row: ColumnRow) -> str:

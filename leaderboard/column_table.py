@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -18,8 +18,8 @@ from jaxtyping import Float
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.figures import SUCCESS
-from dmotion_bench.scoring.statistics import Estimate, detectable_difference, wilson
-from dmotion_bench.scoring.trainings import over_trainings, standard_error
+from dmotion_bench.scoring.statistics import Estimate, wilson
+from dmotion_bench.scoring.trainings import DETECTED, detectable_difference, over_trainings
 from leaderboard.columns import control_steps
 from leaderboard.comparison import PARTS
 from leaderboard.control import PUBLISHED
@@ -309,8 +309,22 @@ def _value(cell: Outcome, step: int, last: int) -> Value:
     )
 
 
+def detectable_words(table: ColumnTable, written: Callable[[float], str]) -> str:
+    """Of each column, which difference the table can show, in words; empty of single trainings.
+
+    Args:
+        table: The table.
+        written: How a number is written.
+    """
+    return " ".join(
+        f"{COLUMNS[name].title}: the table shows a true difference of {written(one)} between two models in "
+        f"{DETECTED:.0%} of cases, a smaller one less often."
+        for name, one in table.detectable.items()
+    )
+
+
 def _detectable(rows: Sequence[ColumnRow], column: str) -> float | None:
-    """From the median of the standard errors of all paired differences."""
+    """From all pairs of models with several trainings on the same episodes."""
     measured = [
         (cell.sums, cell.counts)
         for row in rows
@@ -319,9 +333,8 @@ def _detectable(rows: Sequence[ColumnRow], column: str) -> float | None:
         and cell.counts is not None
         and len(cell.sums) > 1  # one training says nothing of what differs between trainings
     ]
-    errors = [
-        standard_error(one, other, counts)
+    return detectable_difference(
+        (one, other, counts)
         for (one, counts), (other, others) in itertools.combinations(measured, 2)
-        if len(counts) > 1 and np.array_equal(counts, others)
-    ]
-    return detectable_difference(float(np.median(errors))) if errors else None
+        if np.array_equal(counts, others)
+    )

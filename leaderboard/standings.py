@@ -9,7 +9,7 @@ from dmotion_bench.planning.columns import COLUMNS
 from leaderboard.agreement import JOINED
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.board_tables import tuned
-from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable
+from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, detectable_words
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, named, number, signed
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markup import Markup, element, joined
@@ -94,10 +94,6 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
         element("tbody", joined(body)),
         class_="standings",
     )
-    small = " ".join(
-        f"{COLUMNS[name].title}: differences below {number(one)} between two models are too small for this table."
-        for name, one in control.detectable.items()
-    )
     protocols = sorted({COLUMNS[name].protocol for name in control.columns})
     return element(
         "section",
@@ -105,7 +101,7 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
         element(
             "p",
             f"The distance left after {control.steps} steps, on tasks that nothing was tuned on. Small print: the 95% "
-            f"interval over tasks and trainings; of shares, Wilson's interval. {small}",
+            f"interval over tasks and trainings; of shares, Wilson's interval. {detectable_words(control, number)}",
             class_="note",
         ),
         element("div", table, class_="scroll", tabindex=0, role="region", aria_labelledby=caption),

@@ -163,19 +163,6 @@ class EpisodeBootstrap:
         return float(low), float(high)
 
 
-DETECTED: Final = 0.8
-"""How often a difference of the smallest detectable size is found."""
-
-
-def detectable_difference(error: float) -> float:
-    """The smallest difference that is found in ``DETECTED`` of all cases, at the level of the intervals.
-
-    Args:
-        error: The difference's standard error.
-    """
-    return float(ndtri((1 + LEVEL) / 2) + ndtri(DETECTED)) * error
-
-
 def wilson(share: float, count: int) -> tuple[float, float]:
     """The 95% interval of a share of so many independent cases (Wilson 1927): right for 0 and 1 and few cases, too."""
     z = float(ndtri((1 + LEVEL) / 2))

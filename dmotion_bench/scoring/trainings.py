@@ -9,12 +9,17 @@ model with a single training an interval is about that training alone.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
-from scipy.special import ndtri, stdtrit
+from scipy.special import ndtr, ndtri, stdtrit
 
 from dmotion_bench.scoring.statistics import FEWEST_EPISODES, LEVEL, RESAMPLES, SEED, Estimate, draws, expanded_tail
+
+DETECTED: Final = 0.8
+"""How often a difference of the smallest detectable size is shown."""
 
 
 def over_trainings(
@@ -136,6 +141,42 @@ def _freedom(variances: list[float], trainings: list[int]) -> float | None:
     parts = [(own, count - 1) for own, count in zip(variances, trainings, strict=True) if count > 1 and own > 0]
     total = sum(own for own, _ in parts)
     return total**2 / sum(own**2 / freedom for own, freedom in parts) if parts else None
+
+
+def detectable_difference(
+    pairs: Iterable[tuple[Float[np.ndarray, "k e"], Float[np.ndarray, "l e"], Float[np.ndarray, " e"]]],
+) -> float | None:
+    """The true difference between two models that their interval would show in ``DETECTED`` of all cases.
+
+    It is found from pairs of models as they were measured: a difference is shown where it exceeds half the width of
+    the pair's interval. With a few trainings these widths differ much from pair to pair, so the share of cases is the
+    mean over the pairs. What a measured difference is off by is taken for normal, with the standard error that all
+    pairs have together.
+
+    Args:
+        pairs: As ``difference_over_trainings`` takes them.
+
+    Returns:
+        None where no pair has an interval, or nothing differs.
+    """
+    halves, variances = [], []
+    for first, second, counts in pairs:
+        found = difference_over_trainings(first, second, counts)
+        if found.low is not None and found.high is not None:
+            halves.append((found.high - found.low) / 2)
+            variances.append(standard_error(first, second, counts) ** 2)
+    error = math.sqrt(np.mean(variances)) if variances else 0.0
+    if not error:
+        return None
+    low, high = 0.0, max(halves) + float(ndtri(DETECTED)) * error
+    for _ in range(_HALVINGS):
+        middle = (low + high) / 2
+        shown = float(ndtr((middle - np.array(halves)) / error).mean())
+        low, high = (low, middle) if shown >= DETECTED else (middle, high)
+    return high
+
+
+_HALVINGS: Final = 50
 
 
 def standard_error(

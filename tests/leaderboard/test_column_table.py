@@ -19,8 +19,8 @@ from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
-from dmotion_bench.scoring.statistics import detectable_difference, wilson
-from dmotion_bench.scoring.trainings import over_trainings, standard_error
+from dmotion_bench.scoring.statistics import wilson
+from dmotion_bench.scoring.trainings import detectable_difference, over_trainings
 from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.sharing.run_share import share_of
 from dmotion_bench.specs import DatasetRecipe, SplitName
@@ -150,9 +150,7 @@ def test_what_the_table_can_show_follows_from_the_measured_spread(
         np.stack([own for (model, _), own in left.items() if model == name]) for name in ("dmotion", "ed-cnn")
     )
 
-    assert board.control.detectable == {
-        "generic": pytest.approx(detectable_difference(standard_error(one, other, np.ones(25))))
-    }
+    assert board.control.detectable == {"generic": pytest.approx(detectable_difference([(one, other, np.ones(25))]))}
 
 
 def test_a_training_on_other_tasks_is_not_averaged(
@@ -290,8 +288,10 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
 
     assert "Generic: left" in lines
     assert f"| {mean} (" in lines
-    assert f"Generic: differences below {rounded(board.control.detectable['generic'])} between" in lines
-    assert "are too small for this table" in page
+    assert (
+        f"Generic: the table shows a true difference of {rounded(board.control.detectable['generic'])} between" in lines
+    )
+    assert "in 80% of cases, a smaller one less often" in page
     assert page.count(">true simulator as the model<") == 1
     (row,) = (line for line in lines.splitlines() if line.startswith("| dmotion |"))
     assert row.startswith("| dmotion | 4 (1 each) | 3 / 1 | 25 |")

@@ -300,11 +300,6 @@ def solver_class(name: str) -> type[Solver]:
     return loaded
 
 
-def table_names() -> list[str]:
-    """The names of all tables that can be reproduced."""
-    return names(TABLES)
-
-
 def table(name: str) -> Table:
     """A table that can be reproduced.
 

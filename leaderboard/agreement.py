@@ -31,8 +31,6 @@ OTHERS: Final[Mapping[str, str]] = {
     "position_error_paper": f"{POSITION_CHARGED[0].lower()}{POSITION_CHARGED[1:]}",
     "position_error": f"{POSITION_FOUND[0].lower()}{POSITION_FOUND[1:]}",
 }
-FEWEST_ROWS: Final = 8
-"""Of fewer a correlation looks certain and says little."""
 JOINED: Final = (
     "Control by a frozen planner is of the row of the same model, settings and labels in the table of that data set. "
     "That row may be of other trainings than the row here, so rows are compared, not trainings."
@@ -76,7 +74,7 @@ def agreements(rows: Sequence[Row], tables: Sequence[ColumnTable]) -> tuple[Agre
 
 def _agreement(figure: str, pairs: Sequence[tuple[float, float]], *, joined: bool = False) -> Agreement | None:
     """The correlation of the gains with another figure; None of too few rows."""
-    estimate = rank_correlation(*np.array(pairs).T) if len(pairs) >= FEWEST_ROWS else None
+    estimate = rank_correlation(*np.array(pairs, np.float64).reshape(-1, 2).T)
     return None if estimate is None else Agreement(figure=figure, correlation=estimate, joined=joined)
 
 

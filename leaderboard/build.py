@@ -12,7 +12,6 @@ The folder can be copied anywhere, put on any static host, or opened from the di
 from __future__ import annotations
 
 import contextlib
-import json
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -25,6 +24,7 @@ from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, T
 from dmotion_bench.scoring.transfer import fitting, transfer_folders
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.json_file import read_json
 from dmotion_bench.wording import command, shown
 from leaderboard.action_texts import actions_of
 from leaderboard.comparison import as_in_an_entry, scored, sums_by_episode
@@ -192,7 +192,7 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         raise EntryInvalid(
             f"the report of {str(path)!r} is of an earlier training; score it with {command('dmbench score', path)}."
         )
-    stored = json.loads((folder / REPORT_FILE).read_text())
+    stored = read_json(folder / REPORT_FILE)
     content: dict[str, Any] = {"format": FORMAT, "kind": "measured", "protocol": PROTOCOL}
     content |= stored
     content |= {

@@ -69,7 +69,7 @@ from leaderboard.sources import against_run, as_read, find_dataset, find_run
 from leaderboard.verdict import Findings, Verdict, copies_found, short
 
 LEAST_RESAMPLES: Final = 100  # of very few draws an interval is as narrow as one likes
-MOST_RESAMPLES: Final = 100_000
+MOST_RESAMPLES: Final = 20_000  # each draw holds a number of every episode
 _HERE: Final = (CacheNotWritable, FolderInUse, PlaceUnreachable, StorageFull)
 """What keeps this machine from checking says nothing against an entry."""
 _SHARED: Final = SharedSamples(on_disk=False)  # what is checked is computed here

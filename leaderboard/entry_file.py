@@ -96,10 +96,18 @@ def read_entries(folder: Path) -> list[Entry]:
 
 def remove_unused_references(folder: Path) -> None:
     """Remove shared files that no entry of a folder names any more."""
-    used = {digest for path in folder.glob("*.json") for digest in HASH.findall(path.read_text(errors="replace"))}
+    used = {digest for path in entry_files(folder) for digest in _hashes(path)}
     for path in (folder / REFERENCES).glob("*.json"):
         if HASH.fullmatch(path.stem) and path.stem not in used:
             path.unlink()
+
+
+def _hashes(path: Path) -> list[str]:
+    """What an entry may share; nothing of what is no entry, be it a folder, a pipe or too large."""
+    try:
+        return HASH.findall(read_bounded(path, largest=LARGEST).decode(errors="replace"))
+    except (JsonUnreadable, OSError):
+        return []
 
 
 class _Shared:

@@ -30,7 +30,10 @@ HELD = ("action", "agent_motion")
 PROBE_COLUMNS = ("probe_linear", "probe_linear_shuffled", "probe_mlp", "probe_mlp_shuffled")
 
 CONTROL_STEPS = (10, 20, 40, 60, 80, 100)
-"""Steps of control that a table shows; the report has all steps."""
+"""Steps of control that a table shows, besides the last; the report has all steps."""
+
+ROLLOUT = "rollout_"
+DISTANCES = ("control_distance", "control_picture_distance")
 
 BESIDE = ("paper", "copy_last", "agent_moves", "idle", "random", "scripted", "oracle")
 OVERVIEW = ("mse", "mse_push", "position_error_paper", "position_error", "miss_rate")
@@ -130,7 +133,9 @@ def _show_board(reports: Mapping[Path, Report]) -> None:
     paths = sorted(reports, key=lambda path: ("contract" in reports[path].remarks, _mse(reports[path])))
     here = [reports[path] for path in paths]
     furthest = f"rollout_mse[{max(report.settings['horizon'] for report in here)}]"
-    columns = (*OVERVIEW, furthest, "planning_gain", "control_distance[100]", "control_picture_distance[100]")
+    every = [name for report in here for name in report.figures]
+    columns = [*OVERVIEW, furthest, "planning_gain"]
+    columns += [f"{begin}[{last}]" for begin in DISTANCES if (last := _last_step(every, f"{begin}["))]
     shown = [name for name in columns if any(name in report.figures for report in here)]
     shown = shown or ["mse_true_motion"]  # all there is where actions are not known
     behind = _behind(paths, here) if "mse" in shown else {}
@@ -218,22 +223,28 @@ def _headline(report: Report) -> str:
 
 
 def _shown(names: Iterable[str]) -> list[str]:
-    """The figures that a table shows; of rollouts some steps ahead and the last one."""
+    """The figures that a table shows; of rollouts and of control some steps and the last one."""
     every = list(names)
-    last = max((_ahead(name) for name in every if name.startswith("rollout_")), default=0)
-    return [name for name in every if _is_shown(name, last)]
+    lasts = {begin: _last_step(every, begin) for begin in (ROLLOUT, *DISTANCES)}
+    return [name for name in every if _is_shown(name, lasts)]
 
 
-def _ahead(rollout: str) -> int:
-    return int(rollout.rpartition("[")[2].rstrip("]"))
+def _last_step(names: Iterable[str], begin: str) -> int:
+    """The last step that there is a figure of; 0 without any."""
+    return max((_step(name) for name in names if name.startswith(begin) and name.endswith("]")), default=0)
 
 
-def _is_shown(name: str, last: int) -> bool:
+def _step(name: str) -> int:
+    return int(name.rpartition("[")[2].rstrip("]"))
+
+
+def _is_shown(name: str, lasts: Mapping[str, int]) -> bool:
     if "_objects" in name or name.startswith(("rollout_position_error_paper", "probe_")):
         return False
-    if name.startswith(("control_distance", "control_picture_distance")):
-        return name.endswith(tuple(f"[{step}]" for step in CONTROL_STEPS))
-    return not name.startswith("rollout_") or _ahead(name) in (*SHOWN_AHEAD, last)
+    begin = next((begin for begin in lasts if name.startswith(begin)), None)
+    if begin is None:
+        return True
+    return _step(name) in (*(SHOWN_AHEAD if begin == ROLLOUT else CONTROL_STEPS), lasts[begin])
 
 
 def _mse(report: Report) -> float:

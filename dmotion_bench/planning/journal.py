@@ -215,11 +215,6 @@ class Journal:
             write_atomically(self._path, json.dumps(content | {"crc32": _checksum(content)}).encode())
             self._written = time.monotonic()
 
-    def remove(self) -> None:
-        """Delete the file once the result is stored elsewhere."""
-        if self._path is not None:
-            self._path.unlink(missing_ok=True)
-
     def take_over(self, share: Path, *, only: Collection[int] | None = None) -> None:
         """Take up the tasks of another journal of the same key, as far as it is ahead.
 

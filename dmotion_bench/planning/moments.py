@@ -60,6 +60,10 @@ class Moment:
         return float(self.gains.max())
 
 
+_DRAWS: Final = 100
+"""For each sequence that is wanted."""
+
+
 def fixed_sequences(
     spec: ActionSpec, count: int, horizon: int, seed: int
 ) -> Int[np.ndarray, "s h"] | Float[np.ndarray, "s h a"]:
@@ -83,9 +87,14 @@ def fixed_sequences(
     if len(spec) ** horizon <= count:
         return np.array(list(itertools.product(range(len(spec)), repeat=horizon)), np.int64)
     found = dict.fromkeys((action,) * horizon for action in range(min(len(spec), count)))
-    while len(found) < count:
+    for _ in range(_DRAWS * count):
+        if len(found) == count:
+            break
         drawn = _repeated(generator.integers(len(spec), size=(1, horizon)), generator)
         found[tuple(drawn[0].tolist())] = None
+    else:  # nearly all that there are: the rarest would hardly ever be drawn
+        rest = (one for one in itertools.product(range(len(spec)), repeat=horizon) if one not in found)
+        found |= dict.fromkeys(itertools.islice(rest, count - len(found)))
     return np.array(list(found), np.int64)
 
 

@@ -10,6 +10,7 @@ a seed and actions.
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -152,23 +153,23 @@ def control(
     """
     settings = settings or ControlSettings()
     groups = [problems[first : first + settings.group] for first in range(0, len(problems), settings.group)]
-    envs = [make_env() for _ in range(min(settings.group, len(problems)))]
-    loop = _Loop(
-        agent=agent,
-        settings=settings,
-        actions=known_actions(envs[0].facts) if envs else Discrete.numbered(1),
-        journal=journal or Journal.nowhere(),
-        watch=watch,
-        on_progress=lambda: on_progress(_progress(loop.records, settings, len(problems))),
-        envs=envs,
-    )
-    try:
+    envs = list[Environment]()
+    with contextlib.ExitStack() as opened:
+        for _ in range(min(settings.group, len(problems))):
+            envs.append(make_env())
+            opened.callback(envs[-1].close)
+        opened.callback(agent.close)
+        loop = _Loop(
+            agent=agent,
+            settings=settings,
+            actions=known_actions(envs[0].facts) if envs else Discrete.numbered(1),
+            journal=journal or Journal.nowhere(),
+            watch=watch,
+            on_progress=lambda: on_progress(_progress(loop.records, settings, len(problems))),
+            envs=envs,
+        )
         for group in groups:
             _solve(loop, group)
-    finally:
-        agent.close()
-        for env in envs:
-            env.close()
     records = [loop.records[problem.number] for problem in problems]
     moments = len(records[0].distance) if records else settings.steps + 1
     return ControlResult(

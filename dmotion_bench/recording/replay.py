@@ -7,9 +7,10 @@ not recorded before.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 from jaxtyping import Bool
@@ -18,11 +19,14 @@ from dmotion_bench.execution.executor import Executor
 from dmotion_bench.recording.rollout import record_episodes
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec, ObjectStates
+from dmotion_bench.storage.dataset import corrupt
 from dmotion_bench.storage.manifest import Replay
-from dmotion_bench.storage.mcap_reader import read_messages
+from dmotion_bench.storage.mcap_reader import DamagedFile, read_messages
 from dmotion_bench.storage.messages import chunk_limit, decode_masks
 from dmotion_bench.storage.shard import LABELS, VIDEO, EpisodeRow, read_states, read_video, shard_path
 from dmotion_bench.storage.writer import DatasetWriter
+
+_T = TypeVar("_T")
 
 SAMPLE: Final = 3
 """Episodes that are recorded again: the first, the middle one, the last."""
@@ -50,13 +54,25 @@ def replay_sample(writer: DatasetWriter, executor: Executor) -> Replay:
     return Replay(episodes=tuple(episodes), differs=differs)
 
 
+def _read(job: ReplayJob, kind: str, read: Callable[[Path], _T]) -> _T:
+    file = shard_path(job.dataset, kind, job.row.shard)
+    try:
+        return read(file)
+    except DamagedFile as damage:
+        raise corrupt(job.dataset, file, damage) from None
+
+
 def replay_episode(job: ReplayJob) -> tuple[int, str]:
-    """The number of an episode, and how it differs when it is recorded again; empty if it does not."""
+    """The number of an episode, and how it differs when it is recorded again; empty if it does not.
+
+    Raises:
+        DatasetCorrupt: What was recorded cannot be read any more.
+    """
     row, recipe = job.row, job.recipe
-    frames = read_video(shard_path(job.dataset, VIDEO, row.shard), row.video, job.spec, row.frames)
-    labels = shard_path(job.dataset, LABELS, row.shard)
-    states, masks = read_states(labels, row.states, job.spec, row.frames), np.empty(frames.shape[:3], np.uint8)
-    decode_masks(read_messages(labels, row.masks, chunk_limit=chunk_limit(job.spec)), masks)
+    frames = _read(job, VIDEO, lambda file: read_video(file, row.video, job.spec, row.frames))
+    states = _read(job, LABELS, lambda file: read_states(file, row.states, job.spec, row.frames))
+    masks, limit = np.empty(frames.shape[:3], np.uint8), chunk_limit(job.spec)
+    _read(job, LABELS, lambda file: decode_masks(read_messages(file, row.masks, chunk_limit=limit), masks))
     (again,) = record_episodes(environment_class(recipe.environment), recipe, [row.episode])
     whose, together = f"episode {row.episode}", min(len(frames), len(again.frames))
     same_frames, same_masks = (

@@ -22,8 +22,9 @@ from dmotion_bench.recording.session import ShardJob, environment_facts, record_
 from dmotion_bench.registry import is_environment
 from dmotion_bench.storage.atomic import sync_folder
 from dmotion_bench.storage.check import CheckReport, cache_damages, check_dataset
-from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.dataset import Dataset, corrupt
 from dmotion_bench.storage.lock import held
+from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.repair import Salvaged, rebuild_tables, salvage
 from dmotion_bench.storage.shard import LABELS, VIDEO, shard_path
 from dmotion_bench.wording import shown
@@ -78,7 +79,10 @@ def repair_dataset(
             return Repaired(how="cache" if report.cache else "sound")
         return Repaired(how="salvaged", salvaged=salvage(path))
     if report.tables:
-        rebuild_tables(path, report.manifest)
+        try:
+            rebuild_tables(path, report.manifest)
+        except DamagedFile as damage:  # since it was checked
+            raise corrupt(path, path, damage) from None
         deeper = repair_dataset(path, executor, on_progress)  # only now shards can be compared with what they hold
         if deeper.how == "salvaged":
             return deeper

@@ -28,6 +28,7 @@ from dmotion_bench.recording.replay import replay_sample
 from dmotion_bench.recording.rollout import make_environment, record_episodes
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, EnvSpec
+from dmotion_bench.storage.lock import held
 from dmotion_bench.storage.manifest import Manifest, Replay
 from dmotion_bench.storage.remote_copy import RemoteCopy, copy_folder, upload
 from dmotion_bench.storage.shard import ShardReceipt, shard_range, write_shard
@@ -192,12 +193,12 @@ def record_dataset(
     with DatasetWriter.create_or_resume(path, recipe, spec, packages) as writer:
         try:
             progress = _record_missing(writer, executor, on_progress)
+            replay = None if writer.complete is None else writer.complete.replay
+            if writer.complete is None and _is_unproven(recipe.environment):
+                replay = replay_sample(writer, executor)
         except (RecordingFailed, PackageNotInstalled, UsageError) as error:
             error.add(writer.withdraw())
             raise
-        replay = None if writer.complete is None else writer.complete.replay
-        if writer.complete is None and _is_unproven(recipe.environment):
-            replay = replay_sample(writer, executor)
         writer.finish(replay=replay)
         return Recorded(
             dataset=path,
@@ -224,7 +225,19 @@ def _is_unproven(environment: str) -> bool:
 def _record_elsewhere(
     address: str, recipe: DatasetRecipe, executor: Executor | None, on_progress: Callable[[Progress], None]
 ) -> Recorded:
-    """Record a data set and put it at an address, or extend the one that is there."""
+    """Record a data set and put it at an address, or extend the one that is there.
+
+    One process of this machine at a time: another one would begin in the folder that this one puts there and deletes.
+    """
+    turn = copy_folder(address, "-recorder")
+    turn.mkdir(parents=True, exist_ok=True)
+    with held(turn):
+        return _put_there(address, recipe, executor, on_progress)
+
+
+def _put_there(
+    address: str, recipe: DatasetRecipe, executor: Executor | None, on_progress: Callable[[Progress], None]
+) -> Recorded:
     folder, spec, remote = recording_folder(address), environment_facts(recipe), RemoteCopy(address)
     standing = None
     with contextlib.suppress(DatasetMissing):

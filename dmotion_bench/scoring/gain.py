@@ -66,7 +66,7 @@ GROUP: Final = 4
 """Moments side by side; it only decides which numbers are rounded together."""
 
 MOST: Final = 100_000
-"""Of moments, sequences and actions in one; and the largest seed."""
+"""Of moments, and of actions in all sequences of one together; and the largest seed."""
 
 _LOG = logging.getLogger(__name__)
 _DECISIVE: Final = ("moments", "sequences", "horizon", "seed")
@@ -121,6 +121,8 @@ class GainScoring:
         for name in _DECISIVE:
             if type(read[name]) is not int or not 0 <= read[name] <= MOST:
                 raise InvalidSetting(f"{name} is {shown(read[name])}; it is a number up to {MOST}.")
+        if read["sequences"] * read["horizon"] > MOST:
+            raise InvalidSetting(f"sequences times horizon is {read['sequences'] * read['horizon']}, more than {MOST}.")
         named, chosen = read["objective"], read["objective_set"]
         if not isinstance(named, str | None) or not isinstance(chosen, list):
             raise InvalidSetting(f"the objective is {shown(named)} with {shown(chosen)}; it is a name and settings.")

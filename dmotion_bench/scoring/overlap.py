@@ -62,8 +62,8 @@ def _are_copies(
     nearest, second = (np.full(len(frames), np.inf) for _ in range(2))
     length = (frames**2).sum(1)[:, None]
     for episode in episodes:
-        squared = length + (episode**2).sum(1) - 2 * frames @ episode.T  # exact: all of these are whole numbers
-        here: Float[np.ndarray, " n"] = np.sqrt(squared.min(1))
+        squared = length + (episode**2).sum(1) - 2 * frames @ episode.T  # of large frames rounded, even to below zero
+        here: Float[np.ndarray, " n"] = np.linalg.norm(frames - episode[squared.argmin(1)], axis=1)  # 0 of a copy
         second = np.where(here < nearest, nearest, np.minimum(second, here))
         nearest = np.minimum(nearest, here)
     second[np.isinf(second)] = 0.0  # one episode alone: nothing to compare with, so only what is equal is a copy

@@ -294,6 +294,10 @@ def _require_fields(report: Fields) -> None:
         report.text(name)
     for name in ("training", "versions", "planning"):
         report.pairs(name)
+    planning = report.inner("planning")
+    for name in ("planner", "cost", "solver", "objective"):
+        if name in report.pairs("planning"):
+            planning.pairs(name)
     report.whole("seed")
     labels, dataset, settings = (report.inner(name) for name in ("labels", "dataset", "settings"))
     labels.text("asked")
@@ -316,7 +320,8 @@ def _require_fields(report: Fields) -> None:
         figures = holder.inner(of_whom)
         for name in holder.pairs(of_whom):
             figure = figures.inner(name)
-            figure.whole_or_none("n")
+            for count in ("n", *({"episodes"} & set(figures.pairs(name)))):
+                figure.whole_or_none(count)
             for part in ("mean", "std", "low", "high"):
                 figure.real_or_none(part)
 

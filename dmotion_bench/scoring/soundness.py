@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, Final
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -20,6 +21,9 @@ from dmotion_bench.storage.readable import ReadableDataset
 
 IMAGES: Final = 3
 """Pairs of frames that a model is tried on."""
+
+FEWEST_FRAMES: Final = 3
+"""Of an episode that has a triplet."""
 
 SAME: Final = 1e-3
 """As far as the contract lets predictions of one image differ from one batch to another."""
@@ -35,15 +39,20 @@ def unsound_prediction(model: ForwardModel[Any], dataset: ReadableDataset) -> st
 
     Args:
         model: As it was trained; it is left in evaluation mode.
-        dataset: With labels. The first frames of its first episode are tried, with the actions that were taken.
+        dataset: With labels. The first frames of its first episode that has two pairs of frames are tried, with the
+            actions that were taken.
     """
     if dataset.spec.actions is None or not model.needs_pixels:
         return None
+    long_enough = np.flatnonzero(dataset.rows.lengths >= FEWEST_FRAMES)
+    if not len(long_enough):
+        return None
+    episode = int(long_enough[0])
     model.eval()
     device = next(iter(model.state_dict().values())).device
-    frames = to_model(torch.from_numpy(dataset.video(0)[: IMAGES + 2].copy())).to(device)
+    frames = to_model(torch.from_numpy(dataset.video(episode)[: IMAGES + 2].copy())).to(device)
     previous, current, count = frames[:-2], frames[1:-1], len(frames) - 2
-    actions = as_tensor(dataset.states(0).actions[1 : count + 1]).to(device)
+    actions = as_tensor(dataset.states(episode).actions[1 : count + 1]).to(device)
 
     def predicted(chosen: slice) -> Float[Tensor, "n c h w"]:
         return model.predict(previous[chosen], current[chosen], actions[chosen])

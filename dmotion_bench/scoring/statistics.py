@@ -25,7 +25,9 @@ RESAMPLES = 2000
 SEED: Final = 0
 """Of every draw: the same samples have the same interval."""
 
-FEWEST_PAIRS: Final = 5
+FEWEST_PAIRS: Final = 8
+"""That a correlation takes. In simulations an interval over five pairs holds the truth in 77 to 95% of the cases."""
+
 FEWEST_EPISODES: Final = 5
 """That an interval takes. In simulations intervals over 2, 3 and 4 hold the truth in 52, 77 and 86% of the cases."""
 
@@ -172,7 +174,10 @@ def wilson(share: float, count: int) -> tuple[float, float]:
 
 
 def rank_correlation(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -> Estimate | None:
-    """Spearman's rank correlation, with a 95% interval by a bootstrap over the pairs; None of fewer than five pairs."""
+    """Spearman's rank correlation, with a 95% interval by a bootstrap over the pairs; its std is that of the draws.
+
+    None of fewer than ``FEWEST_PAIRS``, and where one of the two is constant.
+    """
     count = len(first)
     if count < FEWEST_PAIRS:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -258,6 +259,8 @@ def pull_dataset(
         return _with(replace(pulled, labels=here), fetched)
     with arriving(workspace.data, f"dataset-{fingerprint[:16]}") as folder:
         fetched = take(place, files, folder, told)
+        if LABELS not in kinds:
+            shutil.rmtree(folder / LABELS, ignore_errors=True)  # some came with an earlier try that asked for them
         with refused(folder, address):
             manifest.write(folder)
             _verify_dataset(folder)

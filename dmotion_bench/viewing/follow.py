@@ -8,6 +8,7 @@ each new shard is shown, one after the other on the timeline ``frame``.
 from __future__ import annotations
 
 import io
+import logging
 import math
 from pathlib import Path
 from typing import Protocol
@@ -16,23 +17,27 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
-from dmotion_bench.errors import DatasetMissing
+from dmotion_bench.errors import DatasetError, DatasetMissing
 from dmotion_bench.learning.training.metrics_log import LARGEST, parse_row
 from dmotion_bench.learning.training.samples import read_sample, samples_of
 from dmotion_bench.specs import EnvSpec
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.mcap_reader import DamagedFile
 from dmotion_bench.storage.shard import LABELS, VIDEO, scan_shard, shard_count, shard_path
 from dmotion_bench.storage.tables import EpisodeTable
 from dmotion_bench.viewing.curves import NO_LOSSES, ROOT, STEP, VALIDATION
 from dmotion_bench.viewing.labels import ACTION_COLORS, log_legend, plain
 from dmotion_bench.viewing.scene import FRAME, picture_view
 from dmotion_bench.viewing.tracks import Color, log_images, log_rings
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST
 
 MOST_SHARDS = 4
 """New shards that are shown at a time; of more the last ones."""
+
+_log = logging.getLogger(__name__)
 
 
 class Follower(Protocol):
@@ -172,7 +177,10 @@ class RecordingFollower:
         new = [number for number in there if number not in self._seen]
         self._seen.update(new)
         for number in new[-MOST_SHARDS:]:
-            self._show(recording, manifest, number, shards=len(self._seen))
+            try:
+                self._show(recording, manifest, number, shards=len(self._seen))
+            except (DamagedFile, DatasetError, OSError) as error:  # it is gone again, or damaged: others can be shown
+                _log.warning("shard %s of %s is not shown: %s", number, shown(str(self.dataset)), error)
         return bool(new)
 
     @property

@@ -97,6 +97,8 @@ def test_what_entries_share_stands_once_beside_them(sound: Entry, changed: Chang
         entry.name: entry for entry in (sound, other, elsewhere)
     }
     paths["elsewhere"].unlink()
+    (tmp_path / "folder.json").mkdir()
+    os.mkfifo(tmp_path / "pipe.json")
     remove_unused_references(tmp_path)
     assert {stored["other"]} <= {path.stem for path in (tmp_path / "references").iterdir()}
     assert stored["elsewhere"] not in {path.stem for path in (tmp_path / "references").iterdir()}

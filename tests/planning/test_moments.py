@@ -53,6 +53,12 @@ def test_there_are_no_more_sequences_than_there_can_be() -> None:
     assert len(fixed_sequences(Discrete(("stay", "go")), 64, 3, 0)) == 8
 
 
+def test_nearly_all_sequences_that_there_can_be_are_found_in_the_end() -> None:
+    """The rarest of 4,096 has a probability of 8e-6."""
+    sequences = fixed_sequences(MOVES, 4000, 6, 0)
+    assert len(np.unique(sequences, axis=0)) == 4000
+
+
 def test_continuous_sequences_are_in_their_bounds_and_often_go_on() -> None:
     sequences = fixed_sequences(PUSH, 200, 5, 0)
 

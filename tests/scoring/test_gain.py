@@ -339,6 +339,8 @@ def test_a_gain_that_cannot_be_is_refused(run: Run, monkeypatch: pytest.MonkeyPa
     for wrong in ({"moments": 0}, {"sequences": 0}, {"horizon": 0}, {"seed": -1}, {"objective_set": ("a=1",)}):
         with pytest.raises(InvalidSetting):
             GainScoring(**wrong)
+    with pytest.raises(InvalidSetting, match="sequences times horizon is 300000"):
+        GainScoring.from_json(GainScoring(sequences=3000, horizon=100).to_json())
     monkeypatch.setattr("dmotion_bench.scoring.gain._stretches", lambda *_: [])
     other = replace(QUICK, gain=GainScoring(moments=1))
     with pytest.raises(LabelsNotAvailable, match="no test episode has a stretch of up to 29 steps in which"):

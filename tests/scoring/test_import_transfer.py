@@ -22,6 +22,7 @@ from dmotion_bench.learning.action_encoding import ActionEncoding
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring import transfer
+from dmotion_bench.scoring.overlap import _are_copies
 from dmotion_bench.scoring.report import Report, read_report_samples
 from dmotion_bench.scoring.score import score_model, score_run
 from dmotion_bench.scoring.settings import ScoreSettings
@@ -180,6 +181,18 @@ def test_a_copy_of_the_training_is_refused(run: Run, grid: Dataset, tmp_path: Pa
 
 
 @pytest.mark.slow
+def test_copies_of_frames_as_large_as_can_be_are_told() -> None:
+    """Their sums are so large that the products of two are rounded."""
+    generator = np.random.default_rng(0)
+    most = 255 * (4096 // 8) ** 2
+    frames, others = (generator.integers(most // 4, most, (many, 192)).astype(np.float64) for many in (60, 40))
+    squared = (frames**2).sum(1) + (frames**2).sum(1) - 2 * np.diag(frames @ frames.T)
+    assert (squared < 0).any()
+    assert _are_copies(frames, iter([frames, others])).all()
+    assert _are_copies(frames, iter([frames])).all()
+    assert not _are_copies(others, iter([frames[:30], frames[30:]])).any()
+
+
 def test_a_copy_that_tests_the_same_episodes_holds_them_out(run: Run, grid: Dataset, tmp_path: Path) -> None:
     copy = write_import(tmp_path / "copy", grid)
     np.testing.assert_array_equal(copy.split("test"), grid.split("test"))

@@ -18,7 +18,7 @@ import pytest
 from killed_writes import Killed, each_kill, killed_at
 
 from dmotion_bench.actions import Continuous
-from dmotion_bench.cli.report_table import show_overview
+from dmotion_bench.cli.report_table import _shown, show_overview
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing, StorageFull
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import compare_runs
@@ -130,6 +130,15 @@ def test_many_reports_are_shown_with_the_paired_difference_to_the_best(
 
 
 @pytest.mark.slow
+def test_a_table_shows_the_last_step_of_control_however_many_there_are() -> None:
+    def steps(last: int) -> list[str]:
+        return _shown(f"control_distance[{step}]" for step in range(1, last + 1))
+
+    assert steps(50) == [f"control_distance[{step}]" for step in (10, 20, 40, 50)]
+    assert steps(100)[-1] == "control_distance[100]"
+    assert steps(7) == ["control_distance[7]"]
+
+
 def test_the_same_run_gives_the_same_bytes(make_run: MakeRun, tmp_path: Path) -> None:
     files = []
     for place in ("a", "b"):
@@ -235,6 +244,8 @@ def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:
         ("figures.mse", {"mean": 1.0}),
         ("reference.copy_last.mse.n", 2.5),
         ("reference", []),
+        ("figures.mse.episodes", [1]),
+        ("planning.planner", "x"),
         ("labels.total", "3"),
         ("dataset.trained_on", {"name": "other"}),
         ("settings.metrics", "prediction"),

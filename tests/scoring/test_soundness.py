@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from known_model import Known, NoConfig
+from pushed_squares import SPEC, squares_episode
 from torch import Tensor
 
 from dmotion_bench.actions import Discrete
@@ -21,7 +22,9 @@ from dmotion_bench.scoring.report import CONTRACT
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.soundness import AT_RANDOM, TOGETHER, unsound_prediction
+from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.writer import DatasetWriter
 
 QUICK = ScoreSettings(horizon=3, resamples=100)
 INPUTS = ModelInputs(height=128, width=128, actions=Discrete.numbered(4))
@@ -52,6 +55,23 @@ class NoPixels(AtRandom):
 )
 def test_predictions_of_chance_and_of_the_batch_are_found(kind: type[Known], said: str | None, grid: Dataset) -> None:
     assert unsound_prediction(kind(NoConfig(), INPUTS), grid) == said
+
+
+def test_an_episode_without_a_triplet_is_passed_over(tmp_path: Path) -> None:
+    """An environment may end in its first step."""
+    inputs = ModelInputs(height=SPEC.height, width=SPEC.width, actions=SPEC.actions)
+
+    def recorded(*lengths: int) -> Dataset:
+        recipe = DatasetRecipe(environment="squares", episodes=len(lengths), frames=8, shard_episodes=len(lengths))
+        path = tmp_path / "-".join(map(str, lengths))
+        with DatasetWriter.create_or_resume(path, recipe, SPEC) as writer:
+            writer.write_shard(0, (squares_episode(one, frames) for one, frames in enumerate(lengths)))
+            writer.finish()
+        return Dataset.open(path)
+
+    assert unsound_prediction(AtRandom(NoConfig(), inputs), recorded(2, 1, 8)) == AT_RANDOM
+    assert unsound_prediction(Known(NoConfig(), inputs), recorded(2, 1, 8)) is None
+    assert unsound_prediction(AtRandom(NoConfig(), inputs), recorded(2, 1)) is None  # nothing can be tried
 
 
 def test_such_a_model_is_marked_and_not_called_the_best(

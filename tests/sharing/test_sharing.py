@@ -205,8 +205,9 @@ def test_what_is_here_is_not_fetched_again_and_never_replaced(
         dm.share_pull(both[1], folder.address, workspace=outsider.root)
 
 
+@pytest.mark.parametrize("labels", [True, False])
 def test_a_pull_that_breaks_off_goes_on(
-    workspace: Workspace, outsider: Workspace, folder: Published, monkeypatch: pytest.MonkeyPatch
+    workspace: Workspace, outsider: Workspace, folder: Published, monkeypatch: pytest.MonkeyPatch, labels: bool
 ) -> None:
     dm.share_push("noise", folder.address)
     fetch, fetched = FolderPlace.fetch, list[str]()
@@ -222,9 +223,11 @@ def test_a_pull_that_breaks_off_goes_on(
         with pytest.raises(KeyboardInterrupt):
             dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
     assert nothing_in(outsider)
-    (pulled,) = dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
-    assert pulled.fetched == pulled.files - 4
-    assert contents(outsider.data / "noise") == contents(workspace.data / "noise")
+    (pulled,) = dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root, labels=labels)
+    assert (outsider.data / "noise/labels").exists() == labels  # some had come already
+    assert pulled.fetched == pulled.files - (4 if labels else 2)
+    mine = {name: held for name, held in contents(workspace.data / "noise").items() if labels or "labels/" not in name}
+    assert contents(outsider.data / "noise") == mine
 
 
 @pytest.mark.parametrize(

@@ -29,6 +29,7 @@ from dmotion_bench.recording.restore import repair_dataset
 from dmotion_bench.storage import object_store
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.lock import held
 from dmotion_bench.storage.remote_copy import RemoteCopy, copy_folder, upload
 from dmotion_bench.storage.summary import summarize
 
@@ -335,6 +336,10 @@ def test_recording_to_an_address_puts_the_same_bytes_there(storage, tmp_path, ca
     assert not report.damages
     assert contents(RemoteCopy(where).folder).items() >= files_of(tmp_path / "grid").items()
     assert not list(tmp_path.rglob("*-recording"))
+    with held(copy_folder(where, "-recorder")):  # by whoever records there, puts it there, and deletes the folder
+        told = dmbench([*words, "24", "--out", where], capsys, monkeypatch)
+    assert told.code == 1
+    assert "another dmbench is writing" in told.err
     told = dmbench([*words, "23", "--seed", "1", "--out", where], capsys, monkeypatch)
     assert told.code == 1
     assert f"{where!r} holds a data set of another recipe: seed is 0 there and 1 here" in told.err

@@ -78,7 +78,7 @@ def test_a_training_is_done_when_its_result_is_written(tmp_path: Path) -> None:
     assert follower.done
 
 
-def test_an_episode_of_each_new_shard(tmp_path: Path, rrd: Path) -> None:
+def test_an_episode_of_each_new_shard(tmp_path: Path, rrd: Path, caplog: pytest.LogCaptureFixture) -> None:
     path = tmp_path / "squares-live"
     recipe = DatasetRecipe(environment="squares", episodes=4, frames=8, shard_episodes=2)
     follower = RecordingFollower(path, SPEC)
@@ -98,5 +98,13 @@ def test_an_episode_of_each_new_shard(tmp_path: Path, rrd: Path) -> None:
     dataset = Dataset.open(path)
     np.testing.assert_array_equal(shown, np.concatenate([dataset.video(0), dataset.video(2)]))
     assert curve(rrd, "/recording/shards") == [(0, 1.0), (8, 2.0)]
+    (path / "video/shard-00000.mcap").write_bytes(b"garbage")
+    anew = RecordingFollower(path, SPEC)
+    with followed(anew, rrd.with_name("anew.rrd")) as recording:
+        assert anew.poll(recording)
+    assert "shard 0 of" in caplog.text
+    assert [frame for frame, _ in values(rrd.with_name("anew.rrd"), "/recording/camera", "Image:buffer")] == list(
+        range(8)
+    )
     pushes = [float(dataset.labels(episode).pushed.sum()) for episode in (0, 2)]
     assert [value for _, value in curve(rrd, "/recording/pushes")] == pushes

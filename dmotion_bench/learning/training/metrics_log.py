@@ -31,8 +31,8 @@ class MetricsLog:
     @classmethod
     @contextlib.contextmanager
     def resumed(cls, path: Path, step: int) -> Iterator[MetricsLog]:
-        """The log opened for appending, without the rows after the step resumed from."""
-        rows = _lines(path) if path.is_file() else ()
+        """The log opened for appending, without the rows after the step resumed from, however long it is."""
+        rows = _lines(path, largest=None) if path.is_file() else ()
         kept = [line + b"\n" for line in rows if (row := parse_row(line)) is not None and row[0] <= step]
         write_atomically(path, b"".join(kept))
         with path.open("a", buffering=1) as file:
@@ -73,7 +73,7 @@ def parse_row(line: bytes) -> tuple[int, dict[str, float]] | None:
     return step, {name: float(value) for name, value in row.items() if type(value) in (int, float)}
 
 
-def _lines(path: Path) -> Iterator[bytes]:
+def _lines(path: Path, largest: int | None = LARGEST) -> Iterator[bytes]:
     with path.open("rb") as file:
-        while file.tell() < LARGEST and (line := file.readline(_LONGEST)):
+        while (largest is None or file.tell() < largest) and (line := file.readline(_LONGEST)):
             yield line.rstrip(b"\r\n")

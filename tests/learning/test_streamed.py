@@ -264,6 +264,16 @@ def test_the_budget_pays_for_the_triplets_that_it_pays_for_in_the_cache(walks, b
     assert streamed.given == cached.given
 
 
+def test_the_random_order_has_every_triplet_once_and_begins_like_one_that_is_broken_off(walks) -> None:
+    triplets = StreamedTriplets.of_split(walks, "train", window=8)
+    order = list(triplets.shuffled(np.random.default_rng(1)))
+    assert sorted(order) == list(range(len(triplets)))
+    assert order != sorted(order)
+    begun = triplets.shuffled(np.random.default_rng(1))
+    assert [next(begun) for _ in range(5)] == order[:5]
+    assert list(triplets.shuffled(np.random.default_rng(2))) != order
+
+
 def test_validation_is_that_of_the_cache_and_is_decoded_once(walks, tmp_path, monkeypatch) -> None:
     def parts(window: int) -> tuple:
         data = training_data(_run(walks, tmp_path / f"run-{window}", f"window={window}"), walks)

@@ -82,13 +82,17 @@ class StreamedTriplets:
         return self.episodes[slots], index - self._starts[slots] + 1
 
     def shuffled(self, generator: np.random.Generator) -> Iterator[int]:
-        """All triplets in a random order, drawn one by one: no list of them all is made."""
+        """All triplets in a random order; a list of them is made only where more than half are taken."""
         drawn = set[int]()
-        while len(drawn) < len(self):
+        while len(drawn) < len(self) / 2:
             number = int(generator.integers(len(self)))
             if number not in drawn:
                 drawn.add(number)
                 yield number
+        left = np.ones(len(self), np.bool_)
+        left[list(drawn)] = False
+        drawn.clear()
+        yield from generator.permutation(np.flatnonzero(left)).tolist()
 
     def first(self, counts: Int[np.ndarray, " e"]) -> StreamedTriplets:
         """The first few triplets of each episode."""

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DatasetCorrupt, LabelsNotAvailable
+from dmotion_bench.errors import DatasetCorrupt, DatasetError, LabelsNotAvailable, UsageError
 from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.limits import MOST_SHARD_EPISODES
@@ -36,7 +36,7 @@ from dmotion_bench.storage.shard import (
 )
 from dmotion_bench.storage.tables import EpisodeTable, read_episodes
 from dmotion_bench.storage.writer import DatasetWriter
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shown
 
 _PACKER: Final = "zstandard"
 """The package that packs what is kept anew; the others made what is in it, long before."""
@@ -81,6 +81,7 @@ def salvage(path: Path) -> Salvaged:
 
     Raises:
         DatasetCorrupt: Nothing can be read, or an earlier repair's original is still there.
+        UsageError: Something that no repair left is in the way.
     """
     path = path.resolve()
     manifest = Manifest.read_complete(path)
@@ -101,7 +102,7 @@ def salvage(path: Path) -> Salvaged:
                 "into another folder, or restore it from a copy."
             )
         unfinished = path.parent / _UNFINISHED / path.name
-        shutil.rmtree(unfinished, ignore_errors=True)
+        _clear(unfinished)
         repeats = manifest.replay is None or manifest.replay.identical  # else a task could not be begun
         tasks = manifest.recipe.tasks if repeats else 0
         recipe = dataclasses.replace(manifest.recipe, episodes=len(kept), tasks=tasks)
@@ -126,6 +127,20 @@ def salvage(path: Path) -> Salvaged:
         lost=tuple(number for number in range(manifest.recipe.episodes) if number not in numbers),
         original=original,
     )
+
+
+def _clear(unfinished: Path) -> None:
+    """Delete what a repair that was killed left behind, and nothing else."""
+    if not unfinished.is_dir() or not any(unfinished.iterdir()):
+        return
+    try:
+        standing = Manifest.read(unfinished)
+        left_behind = standing.salvaged or not standing.complete
+    except DatasetError:
+        left_behind = False
+    if not left_behind:
+        raise UsageError(f"{shown(str(unfinished))} is in the way of the repair; rename it or move it elsewhere.")
+    shutil.rmtree(unfinished)
 
 
 def _listed_episodes(path: Path, manifest: Manifest) -> Iterator[EpisodeRow]:

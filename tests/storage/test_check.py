@@ -14,7 +14,7 @@ import pytest
 from failing_disk import lost
 from noise_world import assert_same_episode, files_of, noise_episode, noise_lengths, noise_spec, write_noise
 
-from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch
+from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch, UsageError
 from dmotion_bench.recording.restore import repair_dataset
 from dmotion_bench.specs import DatasetRecipe, SplitName
 from dmotion_bench.storage.check import check_dataset, table_damages
@@ -235,6 +235,24 @@ def test_the_original_of_an_earlier_repair_is_not_overwritten(tmp_path: Path) ->
     with pytest.raises(DatasetCorrupt, match="damaged/d"):
         repair_dataset(path)
     assert files_of(path) == before
+
+
+def test_what_no_repair_left_behind_is_not_deleted(tmp_path: Path) -> None:
+    path = write_noise(tmp_path / "d").path
+    (path / "video" / "shard-00001.mcap").unlink()
+    mine = write_noise(tmp_path / "repairing" / "d").path
+    before = files_of(path), files_of(mine)
+    with pytest.raises(UsageError, match="repairing/d' is in the way of the repair"):
+        repair_dataset(path)
+    assert (files_of(path), files_of(mine)) == before
+    shutil.rmtree(mine)
+    mine.mkdir()
+    (mine / "notes.txt").write_text("of mine")
+    with pytest.raises(UsageError, match="repairing/d' is in the way of the repair"):
+        repair_dataset(path)
+    assert (mine / "notes.txt").exists()
+    (mine / "notes.txt").unlink()
+    assert repair_dataset(path).how == "salvaged"
 
 
 @pytest.mark.parametrize("make", [os.mkfifo, os.mkdir])

@@ -36,6 +36,10 @@ class Demonstrations:
             previous=self.previous[index], current=self.current[index], next=self.next[index], action=self.action[index]
         )
 
+    def part(self, index: Int[Tensor, " m"]) -> Demonstrations:
+        """These of them, kept as all are."""
+        return self.subset(index)
+
     def read(self, function: Callable[[Tensor, Tensor, Tensor], Tensor]) -> Tensor:
         """What a function of the three images gives for each demonstration, such as a latent action.
 

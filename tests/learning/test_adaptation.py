@@ -77,6 +77,27 @@ def test_what_predicts_the_transitions_left_out_worse_is_not_kept() -> None:
     assert torch.equal(model.gain, before)
 
 
+class Averaged(Brighter):
+    """Learns its table from demonstrations, and remembers of how many."""
+
+    def align(self, demonstrations):
+        self.seen = (*getattr(self, "seen", ()), len(demonstrations))
+        self.table.fit((demonstrations.next - demonstrations.current).mean((1, 2, 3))[:, None], demonstrations.action)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.3])
+def test_the_averages_that_compete_with_steps_do_not_know_what_is_left_out(noise) -> None:
+    """Else the table would have been fitted to the very transitions that decide."""
+    model = Averaged(Nothing(), ModelInputs(height=4, width=4, actions=Discrete.numbered(2)))
+    shown, drawn = _shown(16, (0.2, -0.3)), torch.Generator().manual_seed(2)
+    shown = replace(shown, next=shown.next + noise * torch.randn(16, 1, 1, 1, generator=drawn))
+    kept = finetune(model, shown, replace(CONFIG, adaptation_steps=20), seed=0, precision="float32")
+    assert model.seen == ((14, 16) if kept == 0 else (14,))
+    if not noise:
+        assert kept == 0
+        torch.testing.assert_close(model.table.rows, torch.tensor([[0.2], [-0.3]]))
+
+
 class Watched(StoredDemonstrations):
     """Keeps count of the demonstrations that are images at once."""
 

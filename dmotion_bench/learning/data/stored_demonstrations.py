@@ -47,11 +47,16 @@ class StoredDemonstrations(Demonstrations):
 
     def subset(self, index: Int[Tensor, " m"]) -> Demonstrations:
         """These of them, in memory."""
-        chosen = index.cpu().numpy()
-        given = self._given
-        part = DemonstrationFrames(triplets=given.triplets, rows=given.rows[chosen], actions=given.actions[chosen])
-        made = in_memory(part, self.action.device)
+        made = in_memory(self._some(index), self.action.device)
         return made.contiguous() if self._contiguous else made
+
+    def part(self, index: Int[Tensor, " m"]) -> Demonstrations:
+        """These of them, as triplets."""
+        return StoredDemonstrations(self._some(index), self.action.device, is_contiguous=self._contiguous)
+
+    def _some(self, index: Int[Tensor, " m"]) -> DemonstrationFrames:
+        chosen, given = index.cpu().numpy(), self._given
+        return DemonstrationFrames(triplets=given.triplets, rows=given.rows[chosen], actions=given.actions[chosen])
 
     def contiguous(self) -> Demonstrations:
         """The same transitions, their images contiguous in memory."""

@@ -7,9 +7,9 @@ average latent action of each one's demonstrations, and the same followed by tra
 first is ``ForwardModel.align``, and the second begins where the first ends: Adam minimises the squared error of the
 predicted frame over all parameters and the rows of the table, whatever the model.
 
-Few labelled transitions are soon learned by heart. Of 8 or more an eighth is therefore left out of the training and
-says after how many steps the model predicts best; none at all is among the answers. Of fewer than 8 all are trained on
-for the whole number of steps.
+Few labelled transitions are soon learned by heart. Of 8 or more an eighth is therefore left out, of the averaging too,
+and says after how many steps the model predicts best. None at all is among the answers; the averages are then those of
+all demonstrations. Of fewer than 8 all are trained on for the whole number of steps.
 """
 
 from __future__ import annotations
@@ -72,21 +72,22 @@ def adapt(
     Raises:
         RunError: A fine-tuning diverged.
     """
-    with torch.no_grad():
-        model.align(shown)
     config = spec.training_config
+    if config.adaptation == "finetuned":
+        return finetune(model, shown, config, spec.seed, precision)
+    _align(model, shown)
     if config.adaptation == "clustered":
         cluster(model, data, device)
-    return finetune(model, shown, config, spec.seed, precision) if config.adaptation == "finetuned" else None
+    return None
 
 
 def finetune(
     model: ForwardModel[Any], shown: Demonstrations, config: TrainingConfig, seed: int, precision: Precision
 ) -> int:
-    """Train an aligned model on demonstrations; it stays in evaluation mode, so that nothing of it is random.
+    """Train a model on demonstrations; it stays in evaluation mode, so that nothing of it is random.
 
     Args:
-        model: Aligned with these demonstrations.
+        model: As its training on video left it.
         shown: What it learns from.
         config: How long, how fast, and in which batches.
         seed: Of the order, and of what is left out.
@@ -100,6 +101,7 @@ def finetune(
     """
     order = torch.randperm(len(shown), generator=torch.Generator().manual_seed(seed))
     held, learned = order.tensor_split([len(shown) // HELD_BACK])
+    _align(model, shown.part(learned) if len(held) else shown)
     tables = [table.rows for table in tables_of(model)]
     trained = [*model.parameters(), *tables]
     for tensor in trained:
@@ -128,7 +130,14 @@ def finetune(
     for table in tables:
         table.requires_grad_(False)
     model.load_state_dict(state)
+    if kept == 0:
+        _align(model, shown)
     return kept
+
+
+@torch.no_grad()
+def _align(model: ForwardModel[Any], shown: Demonstrations) -> None:
+    model.align(shown)
 
 
 def _copied(model: ForwardModel[Any]) -> dict[str, Tensor]:

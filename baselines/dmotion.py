@@ -81,7 +81,7 @@ class DMotionConfig(UNetConfig):
         jitter: Standard deviation of the noise on phi^0 as the interaction learner sees it, at the start of the
             training [px of the map]; falls to ``jitter_end`` at its end. 0 is the paper's. With noise on it,
             only a true motion carries the action; a hidden code in the last digits of phi^0 does not.
-        jitter_end: Where the noise ends.
+        jitter_end: Where the noise ends; no more than where it starts.
         anneal: Share of the training after which the kernel has its own width.
         guide: Weight of the distance from phi^0 to the shift that explains best what changes between the two frames
             (``dominant_shift.py``), at the start of the training; falls to 0 over the share ``guided`` of it. 0 is the
@@ -209,7 +209,8 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         """Narrow the interpolation kernel, reduce the noise, and let go of phi^0 as the training proceeds."""
         left = max(0.0, 1 - share / self.config.anneal)
         self.blur = 1 + (self.config.blur - 1) * left
-        self.jitter = self.config.jitter_end + (self.config.jitter - self.config.jitter_end) * (1 - share)
+        end = min(self.config.jitter, self.config.jitter_end)  # the noise never grows
+        self.jitter = end + (self.config.jitter - end) * (1 - share)
         self.guide = self.config.guide * max(0.0, 1 - share / self.config.guided)
         self.own_frames.progress(share)
 

@@ -64,6 +64,8 @@ def dominant_shift(before: Float[Tensor, "b c h w"], after: Float[Tensor, "b c h
         middle_row, middle_column = (place.clamp(1, side - 2) for place in (row, column))
         down = _parabola(*(left[rows, middle_row + step, column] for step in (-1, 0, 1)))
         right = _parabola(*(left[rows, row, middle_column + step] for step in (-1, 0, 1)))
+        down = torch.where(middle_row == row, down, 0.0)  # at the window's edge one side of the parabola is unknown
+        right = torch.where(middle_column == column, right, 0.0)
         return Shift(
             pixels=scale * torch.stack([column - reach + right, row - reach + down], dim=1),
             confidence=torch.where(still > 0, 1 - 2 * least / still.clamp(min=1e-12), 0.0).clamp(0, 1),

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
+import torch.distributed as dist
 import torch.nn.functional as F
 from einops import rearrange
 from jaxtyping import Float, Int
@@ -112,8 +113,12 @@ class VectorQuantizer(nn.Module):
     def _follow(self, parts: Float[Tensor, "n m d"], chosen: Int[Tensor, "n m"]) -> None:
         """Update each code as the running mean of the parts that chose it; move an unused code onto some part."""
         one_hot = F.one_hot(chosen, self.config.codes).to(parts.dtype)
-        self.counts.lerp_(one_hot.sum(1), 1 - self.config.decay)
-        self.sums.lerp_(one_hot.mT @ parts, 1 - self.config.decay)
+        counts, sums = one_hot.sum(1), one_hot.mT @ parts
+        if dist.is_initialized():  # of the whole batch, of which each process has a part
+            dist.all_reduce(counts)
+            dist.all_reduce(sums)
+        self.counts.lerp_(counts, 1 - self.config.decay)
+        self.sums.lerp_(sums, 1 - self.config.decay)
         drawn = parts[:, torch.randint(parts.shape[1], (self.config.codes,), device=parts.device)]
         idle = self.counts < self.config.restart
         self.sums.copy_(torch.where(idle[..., None], drawn, self.sums))

@@ -47,11 +47,11 @@ class TripletBatch:
     """Three consecutive frames; the action that led from the second to the third where it was paid for.
 
     ``action`` is None in the training of unsupervised models, always. ``episode`` says which of them are moments of one
-    recording, for losses that compare moments; it is no label. The training loop always gives it. ``labelled`` are the
-    few labelled transitions that stand beside a batch of video in a phase that asks for them (``Phase.with_labels``);
-    in validation there are none. ``earlier`` are the frames before ``previous``, in a phase that asks for them
-    (``Phase.earlier``); where an episode has none, its first frame is repeated. ``history`` says how many are not
-    repeated. In a phase that needs actions, ``earlier_action`` are the actions taken at ``earlier[:, 1:]`` and
+    recording, for losses that compare moments; it is no label. Only batches of demonstrations alone have none.
+    ``labelled`` are the few labelled transitions that stand beside a batch of video in a phase that asks for them
+    (``Phase.with_labels``); in validation there are none. ``earlier`` are the frames before ``previous``, in a phase
+    that asks for them (``Phase.earlier``); where an episode has none, its first frame is repeated. ``history`` says how
+    many are not repeated. In a phase that needs actions, ``earlier_action`` are the actions taken at ``earlier[:, 1:]`` and
     ``previous``; of these the last ``history`` were paid for, the others repeat the first of them or, where there is
     none, ``action``.
     """

@@ -29,7 +29,8 @@ def batch_of(subject: ModelTrial, phase: Phase) -> TripletBatch:
     """A batch as the training of a phase has it."""
     demonstrated = phase.needs_actions and subject.kind.supervision is Supervision.FEW  # with nothing before it
     earlier = 0 if demonstrated else phase.earlier
-    return subject.batch(BATCH, actions=phase.needs_actions, labelled=phase.with_labels, earlier=earlier)
+    batch = subject.batch(BATCH, actions=phase.needs_actions, labelled=phase.with_labels, earlier=earlier)
+    return dataclasses.replace(batch, episode=None) if demonstrated else batch
 
 
 def losses_of(

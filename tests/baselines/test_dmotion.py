@@ -185,6 +185,9 @@ def test_noise_is_for_training_alone_and_ends_where_it_is_told() -> None:
     assert model.losses(batch).total != model.losses(batch).total
     with pytest.raises(InvalidSetting, match="jitter and jitter_end 0 or more"):
         DMotionConfig(jitter_end=-1.0)  # the noise would vanish in between and come back
+    quiet = _model(jitter=0.0)
+    quiet.progress(0.9)
+    assert quiet.jitter == 0
 
 
 @pytest.mark.parametrize("height", [40, 33])

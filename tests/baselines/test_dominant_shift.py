@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from baselines.dominant_shift import _left_unexplained, dominant_shift
+from baselines.dominant_shift import REACH, _left_unexplained, dominant_shift
 from dmotion_bench.recording.rollout import record_episode
 from recorders.grid_world import GridWorld
 
@@ -47,6 +47,13 @@ def test_a_thing_that_stands_at_an_edge_is_found(place: tuple[int, int], shift: 
     np.testing.assert_allclose(there.pixels[0], shift, atol=0.1)
     np.testing.assert_allclose(back.pixels, -there.pixels, atol=1e-4)
     torch.testing.assert_close(there.confidence, back.confidence)
+
+
+@pytest.mark.parametrize("shift", [19, 20, 21])
+def test_no_shift_is_larger_than_those_that_are_looked_for(shift: int) -> None:
+    """Beyond the window's edge nothing is known, so nothing is refined there."""
+    found = dominant_shift(thing(20, 28)[None], thing(20 + shift, 28)[None])
+    assert abs(found.pixels).max() <= round(REACH * SIDE)
 
 
 def test_what_is_pushed_along_moves_by_the_same_shift() -> None:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+from baselines import lapo
 from baselines.clasp import Clasp
 from baselines.lapo import Lapo, LapoConfig, VectorQuantizer
 from baselines.latent_action_vae import LatentActionVAE
@@ -76,6 +77,25 @@ def test_codes_follow_the_parts_that_choose_them_in_training_alone() -> None:
             count = 0.75 * counts[book, code] + 0.25 * len(mine)
             total = 0.75 * sums[book, code] + 0.25 * mine.sum(0)
             torch.testing.assert_close(quantizer.codes[book, code], total / count)
+
+
+def test_codes_follow_the_parts_of_all_processes(monkeypatch) -> None:
+    """Each process sees a part of the batch; the codes are those of one process that sees all of it."""
+    alone, shared = _quantizer().train(), _quantizer().train()
+    latents = torch.randn(12, CONFIG.action_length, generator=torch.Generator().manual_seed(3))
+    elsewhere = _quantizer().train()
+    told: list[torch.Tensor] = []
+
+    monkeypatch.setattr(lapo.dist, "is_initialized", lambda: True)
+    monkeypatch.setattr(lapo.dist, "all_reduce", lambda mine: told.append(mine.clone()))
+    elsewhere(latents[6:])
+    monkeypatch.setattr(lapo.dist, "all_reduce", lambda mine: mine.add_(told.pop(0)))
+    shared(latents[:6])
+    monkeypatch.setattr(lapo.dist, "is_initialized", lambda: False)
+    alone(latents)
+    busy = alone.counts >= CONFIG.restart
+    torch.testing.assert_close(shared.counts, alone.counts)
+    torch.testing.assert_close(shared.codes[busy], alone.codes[busy])
 
 
 def test_codes_that_nothing_chooses_are_put_where_something_is() -> None:

@@ -199,11 +199,6 @@ class BatchOrder:
             place, left = place + len(part), left - len(part)
         return np.concatenate(parts)
 
-    def batches(self, start: int, stop: int) -> Iterator[Int[np.ndarray, " b"]]:
-        """The steps ``start`` ... ``stop - 1``."""
-        for step in range(start, stop):
-            yield self.batch(step)
-
     def mixed_batch(self, step: int, losses: Float[np.ndarray, " n"], share: float) -> Int[np.ndarray, " b"]:
         """A batch of which a share is drawn by the triplets' latest losses, once every triplet has one.
 

@@ -54,7 +54,7 @@ class Plan:
     Attributes:
         action: The action to take now.
         candidates: The best sequences that were thought of, the best first.
-        costs: Theirs; infinite where fewer were thought of.
+        costs: Theirs; infinite where fewer were thought of, NaN where the rest of an earlier plan is carried out.
         parts: The parts of each cost (``objectives.base.PARTS``), at the sequence's cheapest step.
         progress: The lowest cost known after each of the solver's iterations.
         frames: How many frames were predicted for all tasks together.

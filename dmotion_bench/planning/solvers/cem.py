@@ -47,7 +47,9 @@ class CrossEntropy:
             equally near, the one that does so sooner is better. A cost below zero is divided by the same factor, so
             that it, too, is worth less the later it is reached.
         cost_at: Which steps a sequence's cost is of: ``"best"``, ``"last"``, or ``"sum"`` of all.
-        hold: Steps that each drawn action is held for: with 3 a sequence of 15 actions has five to choose.
+        hold: Steps that each drawn action is held for: with 3 a sequence of 15 actions has five to choose. What is
+            taken over to the next step, the mean and the elites, is read from its first action there, so it hardly
+            moves on; a frozen column plans in this way.
         replan_every: Actions of a plan that are carried out before the next search; the paper's 1 searches at every
             step. Nothing is predicted at the steps between.
         initial_std: Of continuous actions in [-1, 1]: the standard deviation at first.

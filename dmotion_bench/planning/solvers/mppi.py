@@ -4,6 +4,9 @@ Williams et al. 2017, "Information Theoretic MPC for Model-Based Reinforcement L
 around a mean, which moves to their average, weighted by exp(-cost / temperature). Costs have units of their own here,
 so the temperature is a share of the difference between the mean and the lowest cost. At the next step the mean is
 shifted by one action. A sequence of infinite cost, which an objective forbids, has no weight.
+
+Unlike there, a sequence costs what its cheapest step does, not the sum over its steps, and the mean itself is one of
+the sequences in each iteration.
 """
 
 from __future__ import annotations

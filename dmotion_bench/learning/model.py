@@ -51,9 +51,9 @@ class TripletBatch:
     ``labelled`` are the few labelled transitions that stand beside a batch of video in a phase that asks for them
     (``Phase.with_labels``); in validation there are none. ``earlier`` are the frames before ``previous``, in a phase
     that asks for them (``Phase.earlier``); where an episode has none, its first frame is repeated. ``history`` says how
-    many are not repeated. In a phase that needs actions, ``earlier_action`` are the actions taken at ``earlier[:, 1:]`` and
-    ``previous``; of these the last ``history`` were paid for, the others repeat the first of them or, where there is
-    none, ``action``.
+    many are not repeated. In a phase that needs actions, ``earlier_action`` are the actions taken at
+    ``earlier[:, 1:]`` and ``previous``; of these the last ``history`` were paid for, the others repeat the first of
+    them or, where there is none, ``action``.
     """
 
     previous: Float[Tensor, "b c h w"]

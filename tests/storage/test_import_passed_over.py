@@ -67,6 +67,13 @@ def test_nothing_is_told_of_what_is_imported_as_a_whole(root: Path) -> None:
     assert told(root) == ""
 
 
+def test_hidden_files_are_no_recordings_in_subfolders_either(root: Path) -> None:
+    for number in range(COUNT):
+        mcap(root / f"ep{number}" / "front.mcap", number)
+        (root / f"ep{number}" / "._front.mcap").write_bytes(b"\x00\x05\x16\x07")  # as macOS leaves them
+    assert told(root, BY_TIMES) == ""
+
+
 def test_recordings_in_folders_beside_recordings(root: Path) -> None:
     episodes(root, mcap, "ep{}.mcap")
     mcap(root / "more" / "ep10.mcap", 10)

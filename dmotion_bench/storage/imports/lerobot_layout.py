@@ -131,7 +131,12 @@ class LeRobotLayout:
 
     def _has_files(self, camera: str) -> bool:
         """Whether a camera's pictures were downloaded; those in tables come with the numbers."""
-        return self.kind(camera) != "video" or next(self.path.glob(self._videos(camera)), None) is not None
+        return self.kind(camera) != "video" or next(self._shown(self._videos(camera)), None) is not None
+
+    def _shown(self, pattern: str) -> Iterator[Path]:
+        """The files of a pattern that are not hidden; macOS leaves a file ``._NAME`` beside each that it copies."""
+        found = self.path.glob(pattern)
+        return (file for file in found if not any(part.startswith(".") for part in file.relative_to(self.path).parts))
 
     def _videos(self, camera: str) -> str:
         return f"videos/*/{camera}/*.mp4" if self.is_v2 else f"videos/{camera}/*/*.mp4"
@@ -207,7 +212,7 @@ class LeRobotLayout:
         """
         pictures = self._videos(camera) if self.kind(camera) == "video" else f"images/{camera}/*/*"
         episodes = EPISODES_V2.as_posix() if self.is_v2 else EPISODES_V3
-        found = [self.path.glob(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
+        found = [self._shown(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
         files = sorted([self.path / INFO, *itertools.chain(*found)])
         for file in files:
             if not file.is_file():
@@ -268,7 +273,7 @@ class LeRobotLayout:
         columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
         if with_video:
             columns += [f"{video}/chunk_index", f"{video}/file_index", f"{video}/from_timestamp"]
-        tables = sorted(self.path.glob(EPISODES_V3))
+        tables = sorted(self._shown(EPISODES_V3))
         if not tables:
             raise self.bad("lacks 'meta/episodes/chunk-000/file-000.parquet', the table of its episodes")
         for file in tables:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -218,14 +218,14 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
         )
     if (folder / INFO).is_file():
         return [Source(path=folder, kind=Kind.LEROBOT)]
-    entries = in_natural_order(one for one in folder.iterdir() if not one.name.startswith("."))
+    entries = in_natural_order(_shown_in(folder))
     found = [Source(path=one, kind=kind) for one in entries if one.is_file() and (kind := _suffix_kind(one))]
     for inner in [] if found else [one for one in entries if one.is_dir()]:
         try:
             if (inner / INFO).is_file():
                 found.append(Source(path=inner, kind=Kind.LEROBOT))
             elif not is_dataset(inner):
-                files = in_natural_order(one for one in inner.iterdir() if one.is_file())
+                files = in_natural_order(one for one in _shown_in(inner) if one.is_file())
                 found += [Source(path=one, kind=kind) for one in files if (kind := _suffix_kind(one))]
         except OSError as error:
             faults[inner] = _unreadable(inner, error)
@@ -245,6 +245,11 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
 
 
 def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[Source]:
+def _shown_in(folder: Path) -> Iterator[Path]:
+    """What lies in a folder and is not hidden; macOS leaves a file ``._front.mp4`` beside each that it copies."""
+    return (one for one in folder.iterdir() if not one.name.startswith("."))
+
+
     """Of videos those that are called like the camera, unless it is the number of a stream in each.
 
     Raises:

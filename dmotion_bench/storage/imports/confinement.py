@@ -25,7 +25,7 @@ from jaxtyping import Int64, UInt8
 
 import dmotion_bench
 from dmotion_bench.actions import Continuous, actions_from_json, actions_to_json
-from dmotion_bench.errors import RecordingImportError, RecordingTruncated
+from dmotion_bench.errors import RecordingImportError, RecordingNotFetched, RecordingTruncated
 from dmotion_bench.gymnasium_ids import CONFINED
 from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
@@ -35,7 +35,7 @@ from dmotion_bench.storage.imports.recording import Segment, Survey
 from dmotion_bench.storage.imports.wire import Hungup, receive, send
 
 READER: Final = (sys.executable, "-B", "-P", "-m", "dmotion_bench.storage.imports.confined_reader")
-_KINDS: Final = {"RecordingImportError": RecordingImportError, "RecordingTruncated": RecordingTruncated}
+_KINDS: Final = {kind.__name__: kind for kind in (RecordingImportError, RecordingNotFetched, RecordingTruncated)}
 
 
 class Confinement:

@@ -62,13 +62,14 @@ class Found:
             raise fault
 
 
-def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False) -> Found:
+def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False, skip_damaged: bool = False) -> Found:
     """The recordings that are meant: files as they are, folders by what is in them.
 
     Args:
         paths: Files and folders.
         camera: The camera that was asked for; of pictures it is a folder, of videos it may be the name of files.
         salvage: Whether empty files are told of and no faults, if there are recordings besides them.
+        skip_damaged: Whether recordings with a fault are left out.
 
     Raises:
         UsageError: A recording is named twice.
@@ -86,7 +87,7 @@ def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False) ->
     sources = [one for one in sources if one.path not in empty]
     is_harmless = salvage and bool(sources)
     if not is_harmless:
-        faults |= {path: _empty(path, sources) for path in empty}
+        faults |= {path: _empty(path, sources, skip_damaged) for path in empty}
     folders = {one.path: episode_folders(one.path, camera) for one in sources if one.kind is Kind.PICTURES}
     require_once(sources, folders)
     taken = _taken(sources, folders, camera, [*faults, *empty])
@@ -244,12 +245,12 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
     return found
 
 
-def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[Source]:
 def _shown_in(folder: Path) -> Iterator[Path]:
     """What lies in a folder and is not hidden; macOS leaves a file ``._front.mp4`` beside each that it copies."""
     return (one for one in folder.iterdir() if not one.name.startswith("."))
 
 
+def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[Source]:
     """Of videos those that are called like the camera, unless it is the number of a stream in each.
 
     Raises:
@@ -296,10 +297,11 @@ def _is_empty(path: Path) -> bool:
         return False
 
 
-def _empty(file: Path, others: Sequence[Source]) -> RecordingImportError:
-    way_out = "leave it out with '--skip-damaged'" if others else "name another recording"
+def _empty(file: Path, others: Sequence[Source], is_skipped: bool) -> RecordingImportError:
+    way_out = ", or leave it out with '--skip-damaged'" if others else ", or name another recording"
     return RecordingImportError(
-        f"{str(file)!r} is empty: nothing was recorded, or its content was not copied. Copy it again, or {way_out}."
+        f"{str(file)!r} is empty: nothing was recorded, or its content was not copied. Copy it again"
+        f"{'' if others and is_skipped else way_out}."
     )
 
 

@@ -228,8 +228,8 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         arrays.append(segment.times_ns)
         commands, more = (None, []) if segment.commands is None else _packed_commands(segment.commands)
         arrays += more
-        jumps = list(segment.jumps)
-        segments.append({"count": len(segment.times_ns), "commands": commands, "name": segment.name, "jumps": jumps})
+        facts = {"name": segment.name, "jumps": list(segment.jumps), "source": segment.source}
+        segments.append({"count": len(segment.times_ns), "commands": commands, **facts})
     head = {
         "camera": survey.camera,
         "height": survey.height,
@@ -288,7 +288,8 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
             names = [given["names"][number] for number in which.tolist()]
             commands = DiscreteCommands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
         jumps = [number for number in segment["jumps"] if 0 < number < len(times)]
-        segments.append(Segment(times_ns=times, commands=commands, name=segment["name"], jumps=jumps))
+        name, source = segment["name"], segment["source"]
+        segments.append(Segment(times_ns=times, commands=commands, name=name, jumps=jumps, source=source))
     return Survey(
         camera=head["camera"],
         height=head["height"],

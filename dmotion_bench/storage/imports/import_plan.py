@@ -250,7 +250,8 @@ def _plan(
                 pieces = [commanded(piece, segment.commands) for piece in pieces]
                 check_pace(recordings[number], segment.commands, pieces, options)
             parts = cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames)
-            whole = bags.get(recordings[number].path, (number, index))  # what the parts are of
+            part = (number, index) if segment.source is None else (number, "source", segment.source)
+            whole = bags.get(recordings[number].path, part)  # what the parts are of
             source = sources.setdefault(whole, len(sources)) if parts else 0
             for piece in parts:
                 actions = None if segment.commands is None else step_actions(piece, segment.commands, names, options)

@@ -242,6 +242,24 @@ def test_videos_of_the_same_names_in_several_folders_may_be_cameras(root: Path) 
     assert f"with '--camera front' or '{root}/*/front.mp4': a data set has one camera." in report.advice[0]
 
 
+def test_views_of_the_same_numbers_in_one_folder_may_be_cameras(root: Path) -> None:
+    for number in range(3):
+        for camera, name in enumerate(("front", "wrist")[number == 2 :]):
+            video_file(root / f"run_{number}_{name}.mp4", video(6, seed=3 * number + camera))
+    video_file(root / "wide_7.mp4", video(6, seed=10))
+    report = imported(root)
+    assert report.episodes == 6
+    assert (
+        f"the names of the videos in {str(root)!r} have several patterns with the same numbers ('#' is a number): "
+        "'run_#_front', 'run_#_wrist'. If they are several cameras, import one of them, such as with "
+        "--camera 'run_#_front': a data set has one camera."
+    ) in report.advice
+    chosen = import_recordings([root], root.parent / "chosen", ImportOptions(size=16, camera="run_#_front"))
+    recipe = Dataset.open(chosen.path).recipe.parameters
+    assert [recipe[f"file_{number}"] for number in range(chosen.episodes)] == ["run_0_front.mp4", "run_1_front.mp4"]
+    assert "patterns" not in " ".join(chosen.advice)
+
+
 @pytest.mark.slow
 def test_a_camera_s_videos_are_chosen_by_their_name(root: Path) -> None:
     clips(root)

@@ -26,10 +26,12 @@ from dmotion_bench.storage.imports.picture_folder import (
     episode_folders,
     folder_and_pattern,
     listed_patterns,
+    pattern_of,
     patterns_in,
 )
+from dmotion_bench.storage.imports.picture_numbers import NUMBER
 from dmotion_bench.storage.imports.sources import CONVERT_BAG, KNOWN, SUFFIXES, Kind, Source, camera_file, kind_of
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shown
 
 _SHOWN: Final = 5  # names in a sentence
 
@@ -98,7 +100,7 @@ def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False, sk
         faults=faults,
         told=[
             *(sentence for one in over for sentence in one.sentences(camera)),
-            *(sentence for path in paths if (sentence := _likely_cameras(path, sources)) is not None),
+            *(told for path in paths if (told := _likely_cameras(path, sources) or _likely_views(path, sources))),
             *told_of_bags(bags),
             *([_told_of_empty(list(empty))] if empty and is_harmless else []),
         ],
@@ -184,6 +186,23 @@ def _likely_cameras(folder: Path, sources: Sequence[Source]) -> str | None:
     )
 
 
+def _likely_views(folder: Path, sources: Sequence[Source]) -> str | None:
+    """What is told of videos in one folder whose names have several patterns with the same numbers, as views have."""
+    numbers: dict[str, set[tuple[str, ...]]] = {}
+    for stem in (one.path.stem for one in sources if one.kind is Kind.VIDEO and one.path.parent == folder):
+        numbers.setdefault(pattern_of(stem), set()).add(tuple(NUMBER.findall(stem)))
+    for first, given in numbers.items():
+        alike = [name for name, other in numbers.items() if len(given & other) >= max(2, (len(given | other) + 1) // 2)]
+        if len(alike) > 1:
+            return (
+                f"the names of the videos in {str(folder)!r} have several patterns with the same numbers ('#' is a "
+                f"number): {', '.join(map(shown, alike[:_SHOWN]))}{' and more' if len(alike) > _SHOWN else ''}. If "
+                f"they are several cameras, import one of them, such as with --camera {shown(first)}: a data set has "
+                "one camera."
+            )
+    return None
+
+
 def _doubt(over: PassedOver) -> str:
     """What is said of pictures that are too few, beside others that were passed over."""
     named = command("dmbench data import", over.readable[0])
@@ -263,8 +282,9 @@ def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[So
         names = list(dict.fromkeys(source.path.stem for source in found))
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         raise RecordingImportError(
-            f"no video in {str(folder)!r} is called {camera!r}; '--camera' names video files without their suffix, or "
-            f"the number of a stream in them. The files are: {', '.join(names[:_SHOWN])}{more}."
+            f"no video in {str(folder)!r} is called {camera!r}; '--camera' names video files without their suffix, "
+            f"with '#' for each number or as they are, or the number of a stream in them. The files are: "
+            f"{', '.join(names[:_SHOWN])}{more}."
         )
     return chosen
 

@@ -227,7 +227,8 @@ def import_fleet(
     options = replace(options, skip_damaged=skip_damaged)
     unreadable: dict[int, int] = {}
     skipped: dict[Path, RecordingImportError] = {}
-    named = find([path.absolute() for path in paths], options.camera, salvage=options.salvage)
+    absolute = [path.absolute() for path in paths]
+    named = find(absolute, options.camera, salvage=options.salvage, skip_damaged=skip_damaged)
     if not skip_damaged:
         named.require_sound()
     require_effect(named.sources, options)

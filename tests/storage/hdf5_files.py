@@ -28,6 +28,7 @@ def robomimic(
     *,
     actions: Mapping[str, Sequence[Any]] | None = None,
     control_freq: float | None = None,
+    picture: str = "obs/agentview_image",
     **packing: Any,
 ) -> Path:
     """A file as robomimic's scripts write it."""
@@ -39,7 +40,7 @@ def robomimic(
         for name, frames in demonstrations.items():
             group = data.create_group(name)
             group.attrs["num_samples"] = len(frames)
-            group.create_dataset("obs/agentview_image", data=frames, **packing)
+            group.create_dataset(picture, data=frames, **packing)
             group.create_dataset("obs/robot0_eef_pos", data=np.zeros((len(frames), 3)))
             given = actions[name] if actions is not None else np.zeros((len(frames), 7))
             group.create_dataset("actions", data=given)

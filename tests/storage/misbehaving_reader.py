@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from dmotion_bench.errors import RecordingTruncated
+from dmotion_bench.errors import RecordingNotFetched, RecordingTruncated
 from dmotion_bench.storage.imports.commands import DiscreteCommands
 from dmotion_bench.storage.imports.confined_reader import main
 from dmotion_bench.storage.imports.options import ImportOptions
@@ -48,6 +48,8 @@ class Misbehaving:
                 Path(f"{self.path}.txt").write_text("x" * 100)
             case "truncated":
                 raise RecordingTruncated("the end is missing.")
+            case "elsewhere":
+                raise RecordingNotFetched("it was not fetched.")
             case "surprise":
                 raise LookupError("\x1b[31m" + "x" * 1000)
             case "interrupted":

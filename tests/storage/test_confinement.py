@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmotion_bench.errors import RecordingImportError, RecordingTruncated
+from dmotion_bench.errors import RecordingImportError, RecordingNotFetched, RecordingTruncated
 from dmotion_bench.storage.imports.confinement import ConfinedRecording, Confinement
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.options import ImportOptions
@@ -128,6 +128,8 @@ def test_no_file_can_be_written(tmp_path: Path) -> None:
 def test_errors_keep_their_kind(confinement: Confinement) -> None:
     with pytest.raises(RecordingTruncated, match=r"the end is missing\."):
         opened(confinement, "truncated").survey()
+    with pytest.raises(RecordingNotFetched, match=r"it was not fetched\."):
+        opened(confinement, "elsewhere").survey()
     with pytest.raises(RecordingTruncated, match=r"no video of 77 pixels\."):
         opened(confinement, "refused")
 

@@ -13,6 +13,7 @@ from storage.foreign import compressed, video
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.advice import advice, no_episode
+from dmotion_bench.storage.imports.commands import DiscreteCommands
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce
 from dmotion_bench.storage.imports.imported_actions import constant_advice, pace_advice
 from dmotion_bench.storage.imports.importing import import_recordings
@@ -116,6 +117,30 @@ def test_commands_that_are_not_kept_are_told_of(per_step: int, said: str, of_pic
     assert not sentences or "'--action-reduce sum' adds displacements, 'mean' averages velocities" in sentences[0]
     for reduce in (Reduce.SUM, Reduce.MEAN):
         assert pace_advice([(piece, commands)], dataclasses.replace(options, action_reduce=reduce)) == ()
+
+
+@pytest.mark.parametrize(
+    ("said_each", "is_told"),
+    [
+        (["0", "1", "2"], True),  # the same one is always kept
+        (["0", "1", "2", "3"], True),
+        (["0", "0", "0", "1", "1", "1"], False),  # as programs repeat what is in force
+        (["up"], False),
+    ],
+)
+def test_choices_that_are_not_kept_are_told_of_where_they_differ(said_each: list[str], is_told: bool) -> None:
+    times = at(30)
+    (piece,) = resample(times, hz=10, max_gap_s=None, most=1000)
+    commands = DiscreteCommands(times_ns=times, names=(said_each * 300)[:300])
+    sentences = pace_advice([(piece, commands)], ImportOptions(actions="/a"))
+    assert len(sentences) == is_told
+    for sentence in sentences:
+        assert sentence == (
+            "each action stands for 3 commands, of which the one in force halfway is kept, and in 98 of 98 steps "
+            "others are left out that differ; '--hz 30' keeps all."
+        )
+    (whole,) = resample(times, hz=30, max_gap_s=None, most=1000)
+    assert pace_advice([(whole, commands)], ImportOptions(actions="/a", hz=30)) == ()
 
 
 def continuous(*names: str) -> Continuous:

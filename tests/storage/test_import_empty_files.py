@@ -42,6 +42,7 @@ def test_an_empty_file_does_not_stop_the_others(folder: Path, tmp_path: Path, na
     skipped = import_fleet(paths, tmp_path / "skipped", SMALL, SerialExecutor(), skip_damaged=True)
     assert skipped.episodes == 1
     assert [path for path, _ in skipped.skipped] == [str(empty)]
+    assert skipped.skipped[0][1].endswith("Copy it again.")
     several = import_fleet(paths, tmp_path / "several", SALVAGE, SerialExecutor())
     assert several.advice == salvaged.advice
 

@@ -67,6 +67,13 @@ def test_nothing_is_told_of_what_is_imported_as_a_whole(root: Path) -> None:
     assert told(root) == ""
 
 
+def test_hidden_files_are_no_recordings_in_subfolders_either(root: Path) -> None:
+    for number in range(COUNT):
+        mcap(root / f"ep{number}" / "front.mcap", number)
+        (root / f"ep{number}" / "._front.mcap").write_bytes(b"\x00\x05\x16\x07")  # as macOS leaves them
+    assert told(root, BY_TIMES) == ""
+
+
 def test_recordings_in_folders_beside_recordings(root: Path) -> None:
     episodes(root, mcap, "ep{}.mcap")
     mcap(root / "more" / "ep10.mcap", 10)
@@ -233,6 +240,24 @@ def test_videos_of_the_same_names_in_several_folders_may_be_cameras(root: Path) 
     sentence = f"2 folders in {str(root)!r} hold videos of the same names: front.mp4, wrist.mp4. If they are several"
     assert sentence in report.advice[0]
     assert f"with '--camera front' or '{root}/*/front.mp4': a data set has one camera." in report.advice[0]
+
+
+def test_views_of_the_same_numbers_in_one_folder_may_be_cameras(root: Path) -> None:
+    for number in range(3):
+        for camera, name in enumerate(("front", "wrist")[number == 2 :]):
+            video_file(root / f"run_{number}_{name}.mp4", video(6, seed=3 * number + camera))
+    video_file(root / "wide_7.mp4", video(6, seed=10))
+    report = imported(root)
+    assert report.episodes == 6
+    assert (
+        f"the names of the videos in {str(root)!r} have several patterns with the same numbers ('#' is a number): "
+        "'run_#_front', 'run_#_wrist'. If they are several cameras, import one of them, such as with "
+        "--camera 'run_#_front': a data set has one camera."
+    ) in report.advice
+    chosen = import_recordings([root], root.parent / "chosen", ImportOptions(size=16, camera="run_#_front"))
+    recipe = Dataset.open(chosen.path).recipe.parameters
+    assert [recipe[f"file_{number}"] for number in range(chosen.episodes)] == ["run_0_front.mp4", "run_1_front.mp4"]
+    assert "patterns" not in " ".join(chosen.advice)
 
 
 @pytest.mark.slow

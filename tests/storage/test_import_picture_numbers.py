@@ -14,7 +14,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
-from dmotion_bench.storage.imports.picture_numbers import steps_between
+from dmotion_bench.storage.imports.picture_numbers import repeated_with_others, steps_between
 
 OPTIONS = ImportOptions(size=32, source_hz=10)
 T0 = 1_700_000_000
@@ -102,6 +102,35 @@ def test_a_pause_between_times_ends_an_episode(tmp_path: Path, per_second: int, 
 def test_steps_between_names(numbers: Sequence[object], steps: list[int] | None) -> None:
     found = steps_between([f"{number}.png" for number in numbers])
     assert (None if found is None else found.tolist()) == steps
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        ([f"{t:04d}_{camera}" for t in range(20) for camera in (0, 1)], (["0", "1"], 20)),
+        ([f"cam{camera}_{t:04d}" for camera in (2, 0, 1) for t in range(20)], (["2", "0", "1"], 20)),
+        ([f"run3_cam{camera}_{t}" for camera in (0, 1) for t in range(20 - camera)], (["0", "1"], 20)),
+        ([f"{t:04d}_{t % 2}" for t in range(20)], None),
+        ([f"{t // 10}_{t % 10}" for t in range(100)], None),  # a number in two parts
+        ([f"run3_{t}" for t in range(20)], None),
+        (["1_9", "1_10", "2_0", "2_1"], None),
+        (["left", "left"], None),
+        ([], None),
+    ],
+)
+def test_a_number_that_has_few_values_with_all_others(names: list[str], found: tuple[list[str], int] | None) -> None:
+    assert repeated_with_others([f"{name}.png" for name in names]) == found
+
+
+def test_cameras_that_a_number_tells_apart_are_told_of(tmp_path: Path) -> None:
+    for episode in range(3):
+        fill(tmp_path / f"run/ep{episode}", [f"{t:04d}_{camera}.png" for t in range(5) for camera in (0, 1)], episode)
+    report, _ = imported(tmp_path / "run")
+    assert report.advice[0].startswith(
+        f"a number in the names of the pictures in {str(tmp_path / 'run/ep0')!r} is 0 or 1 with each of 5 others, and "
+        "so in 2 more folders, as the number of a camera or of an episode is"
+    )
+    assert "move those of each into a folder of its own; '--camera'" in report.advice[0]
 
 
 def test_random_numbers_stay_one_episode_without_a_remark(tmp_path: Path) -> None:

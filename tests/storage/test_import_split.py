@@ -12,14 +12,16 @@ import pytest
 from storage.foreign import compressed
 from storage.test_forged import replace_table
 
-from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch
+from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch, RecordingImportError
 from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.specs import SPLIT
 from dmotion_bench.storage.check import check_dataset
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.exports.lerobot import export_lerobot
 from dmotion_bench.storage.imports import import_plan
 from dmotion_bench.storage.imports.importing import import_recordings
+from dmotion_bench.storage.imports.lerobot_layout import SOURCE
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.limits import MOST_EPISODES
 from dmotion_bench.storage.repair import rebuild_tables, salvage
@@ -28,6 +30,7 @@ from dmotion_bench.storage.split import SPLIT_NAMES, split_episodes
 from dmotion_bench.storage.summary import summarize
 from dmotion_bench.storage.tables import EPISODES
 
+LISTED = "meta/episodes/chunk-000/file-000.parquet"
 HALVES = ImportOptions(size=16, frames_per_episode=4, source_hz=10)
 HONEST = "Import more recordings for an honest test."
 
@@ -137,6 +140,27 @@ def test_repairs_keep_parts_together(tmp_path: Path) -> None:
     assert kept.rows.sources is not None
     assert kept.rows.sources.tolist() == [0, *(episode // 2 for episode in range(2, 24))]
     assert not set(sources(kept, "test")) & {*sources(kept, "train"), *sources(kept, "validation")}
+
+
+def test_an_export_and_its_import_keep_parts_together(tmp_path: Path) -> None:
+    seeded = dataclasses.replace(HALVES, seed=3)
+    before = Dataset.open(import_recordings([recordings(tmp_path / "in", 12)], tmp_path / "out", seeded).path)
+    exported = export_lerobot(before, tmp_path / "lerobot", labels=False).path
+    timed = dataclasses.replace(seeded, source_hz=None)
+    again = Dataset.open(import_recordings([exported], tmp_path / "again", timed).path)
+    assert again.rows.sources is not None
+    assert again.rows.sources.tolist() == [episode // 2 for episode in range(24)]
+    for name in SPLIT_NAMES:
+        np.testing.assert_array_equal(again.split(name), before.split(name))
+    several = import_fleet([exported], tmp_path / "several", timed, SerialExecutor())
+    assert (several.path / EPISODES).read_bytes() == (again.path / EPISODES).read_bytes()
+
+    table = exported / LISTED
+    forged = pq.read_table(table)
+    place = forged.column_names.index(SOURCE)
+    pq.write_table(forged.set_column(place, SOURCE, pa.array([-1] * 24)), table)
+    with pytest.raises(RecordingImportError, match="says that an episode is a part of the recording '-1'"):
+        import_recordings([exported], tmp_path / "forged", timed)
 
 
 def test_each_source_has_the_side_that_an_episode_of_its_number_has() -> None:

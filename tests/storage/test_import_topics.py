@@ -7,9 +7,12 @@ from pathlib import Path
 import foxglove
 import pytest
 from foxglove.channels import RawImageChannel
-from storage.foreign import raw_image, steady, video
+from storage.foreign import foxglove_file, raw_image, steady, video
+from storage.hand_made import refused
+from storage.hdf5_files import robomimic
 
 from dmotion_bench.errors import RecordingImportError
+from dmotion_bench.recording.fleet import import_fleet
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.continuous_commands import meant
 from dmotion_bench.storage.imports.importing import import_recordings
@@ -88,3 +91,28 @@ def test_a_topic_of_actions_that_holds_the_part_is_suggested_first(tmp_path: Pat
 def test_fields_whose_last_part_it_is_are_suggested_first(field: str, said: str) -> None:
     known = [f"{kind}.{axis}" for kind in ("linear", "angular") for axis in "xyz"]
     assert meant(known, field) == said
+
+
+def test_recordings_with_different_cameras_are_one_data_set_only_where_one_camera_is_chosen(tmp_path: Path) -> None:
+    topics = ("/camera/image", "/wrist/image")
+    one, other = (
+        foxglove_file(tmp_path / f"{number}.mcap", video(6, seed=number), steady(6), topic=topic)
+        for number, topic in enumerate(topics)
+    )
+    sentence = refused(
+        [one, other], tmp_path, f"different cameras: '/camera/image' in '{one}', '/wrist/image' in '{other}'"
+    )
+    assert "choose one with '--camera /camera/image' and leave" in sentence
+    both = import_recordings([one, other], tmp_path / "both", ImportOptions(size=16, camera="image"))
+    assert both.episodes == 2  # a part of both names: they are said to be one camera
+    chosen = ImportOptions(size=16, camera="/camera/image")
+    left = import_fleet([one, other], tmp_path / "left", chosen, skip_damaged=True)
+    assert (left.episodes, [path for path, _ in left.skipped]) == (1, [str(other)])
+
+
+def test_recordings_of_several_kinds_call_one_camera_differently(tmp_path: Path) -> None:
+    told = foxglove_file(tmp_path / "a.mcap", video(6), steady(6))
+    stored = robomimic(tmp_path / "b.hdf5", {"demo_0": video(6, seed=1)})
+    assert import_recordings([told, stored], tmp_path / "out", ImportOptions(size=16)).episodes == 2
+    wrist = robomimic(tmp_path / "c.hdf5", {"demo_0": video(6, seed=2)}, picture="obs/wrist")
+    refused([stored, wrist], tmp_path, "different cameras: 'obs/agentview_image' in .*, 'obs/wrist' in")

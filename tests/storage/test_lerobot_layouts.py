@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,26 @@ def test_pictures_beside_the_table(tmp_path: Path, dash: str) -> None:
         for number in range(LENGTHS[episode]):
             (pictures / f"frame{dash}{number:06d}.png").write_bytes(compressed(frames[start + number], "png"))
     same(folder, frames)
+
+
+@pytest.mark.parametrize("made", [v3, partial(v21, kind="video")], ids=["v3", "v2.1"])
+def test_hidden_files_do_not_count(tmp_path: Path, made: Callable[[Path, np.ndarray], Path]) -> None:
+    """macOS leaves them beside each file on a disk of another system."""
+    folder = made(tmp_path / "set", moving(15, 32, 32))
+    info = json.loads((folder / "meta/info.json").read_text())
+    info["features"]["observation.images.wrist"] = info["features"][CAMERA] | {"dtype": "video"}  # not downloaded
+    (folder / "meta/info.json").write_text(json.dumps(info))
+    before = LeRobotRecording(folder, camera=None, actions=None, limits=ImportLimits())
+    count, digest = len(before.survey().segments), before.sha256()
+    for films in ("videos/observation.images.wrist/chunk-000", "videos/chunk-000/observation.images.wrist"):
+        (folder / films).mkdir(parents=True)
+        (folder / films / "file.mp4").touch()
+    for file in [one for one in folder.rglob("*") if one.is_file()]:
+        file.with_name(f"._{file.name}").write_bytes(b"\x00\x05\x16\x07")
+        if file.name == "file.mp4":
+            file.unlink()
+    after = LeRobotRecording(folder, camera=None, actions=None, limits=ImportLimits())
+    assert (len(after.survey().segments), after.sha256()) == (count, digest)
 
 
 @pytest.mark.slow

@@ -11,7 +11,8 @@ Layout and names are those of ``lerobot/datasets`` 0.4 (codebase version v3.0). 
   which nothing was done, repeats the one before.
 - ``observation.state``: the agent's position [m], where the environment knows it.
 
-Masks, objects and control tasks have no place there and stay behind.
+Which recording an episode is a part of, where the data set is split by it, stands in a column of our own in the table
+of episodes. Masks, objects, control tasks and the seed of the split have no place there and stay behind.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ from dmotion_bench.storage.video.writer import VideoWriter
 
 CAMERA: Final = "observation.images.camera"
 STATE: Final = "observation.state"
+SOURCE: Final = "dmbench_source"  # read back by ``imports/lerobot_layout.py``
 UNFINISHED: Final = ".exporting"
 CHUNK_FILES: Final = 1000
 DATA_MIB, VIDEO_MIB = 100, 200
@@ -227,7 +229,7 @@ class _Export:
         return pa.table(columns)
 
     def _write_episodes(self, placed: list[_Placed]) -> None:
-        rate = float(self._fps)
+        rate, sources = float(self._fps), self._dataset.rows.sources
         columns: dict[str, list[Any]] = {}
         for number, one in enumerate(placed):
             row: dict[str, Any] = {
@@ -245,6 +247,8 @@ class _Export:
                 "meta/episodes/chunk_index": 0,
                 "meta/episodes/file_index": 0,
             }
+            if sources is not None:
+                row[SOURCE] = int(sources[number])
             for feature, summary in one.summaries.items():
                 row |= {f"stats/{feature}/{name}": values for name, values in summary.items()}
             for name, value in row.items():

@@ -25,7 +25,7 @@ from jaxtyping import Int64, UInt8
 
 import dmotion_bench
 from dmotion_bench.actions import Continuous, actions_from_json, actions_to_json
-from dmotion_bench.errors import RecordingImportError, RecordingTruncated
+from dmotion_bench.errors import RecordingImportError, RecordingNotFetched, RecordingTruncated
 from dmotion_bench.gymnasium_ids import CONFINED
 from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands
@@ -35,7 +35,7 @@ from dmotion_bench.storage.imports.recording import Segment, Survey
 from dmotion_bench.storage.imports.wire import Hungup, receive, send
 
 READER: Final = (sys.executable, "-B", "-P", "-m", "dmotion_bench.storage.imports.confined_reader")
-_KINDS: Final = {"RecordingImportError": RecordingImportError, "RecordingTruncated": RecordingTruncated}
+_KINDS: Final = {kind.__name__: kind for kind in (RecordingImportError, RecordingNotFetched, RecordingTruncated)}
 
 
 class Confinement:
@@ -228,8 +228,8 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         arrays.append(segment.times_ns)
         commands, more = (None, []) if segment.commands is None else _packed_commands(segment.commands)
         arrays += more
-        jumps = list(segment.jumps)
-        segments.append({"count": len(segment.times_ns), "commands": commands, "name": segment.name, "jumps": jumps})
+        facts = {"name": segment.name, "jumps": list(segment.jumps), "source": segment.source}
+        segments.append({"count": len(segment.times_ns), "commands": commands, **facts})
     head = {
         "camera": survey.camera,
         "height": survey.height,
@@ -288,7 +288,8 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
             names = [given["names"][number] for number in which.tolist()]
             commands = DiscreteCommands(times_ns=given_at, names=names, vocabulary=given["vocabulary"])
         jumps = [number for number in segment["jumps"] if 0 < number < len(times)]
-        segments.append(Segment(times_ns=times, commands=commands, name=segment["name"], jumps=jumps))
+        name, source = segment["name"], segment["source"]
+        segments.append(Segment(times_ns=times, commands=commands, name=name, jumps=jumps, source=source))
     return Survey(
         camera=head["camera"],
         height=head["height"],

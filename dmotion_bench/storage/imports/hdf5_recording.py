@@ -35,7 +35,6 @@ from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.natural_order import natural
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
 
-MAGIC: Final = b"\x89HDF\r\n\x1a\n"
 DEMONSTRATIONS: Final = "data"
 NEXT: Final = "next_obs/"  # robomimic's copy of the pictures, each in the place of the one before it
 CHUNK_CACHE: Final = 64 * MIB  # a chunk of many pictures is inflated once, not once a picture

@@ -35,7 +35,7 @@ from dmotion_bench.storage.imports.picture_sizes import have_one_shape, told_of_
 from dmotion_bench.storage.imports.recording import Named, Survey
 from dmotion_bench.storage.imports.search import Found
 from dmotion_bench.storage.imports.source_rate import source_hz, source_hz_range
-from dmotion_bench.storage.imports.sources import UNSALVAGED, WITHOUT_ACTIONS
+from dmotion_bench.storage.imports.sources import UNSALVAGED, WITHOUT_ACTIONS, Kind
 from dmotion_bench.storage.imports.timeline import Piece, cut, resample
 from dmotion_bench.storage.split import FEWEST_EPISODES
 
@@ -126,6 +126,7 @@ def plan_import(
     Raises:
         RecordingImportError: They do not go together, or there is no episode in them.
     """
+    _check_cameras(recordings, surveys, options, found)
     _check_sizes(recordings, surveys)
     _check_depth(recordings, surveys)
     names = discrete_names(surveys, options)
@@ -167,6 +168,23 @@ def plan_import(
         may_hold_actions=any(source.kind not in WITHOUT_ACTIONS for source in found.sources),
         advice=(*told, *constant_advice(spec.actions, [one.actions for one in planned]), *pace_advice(given, options)),
     )
+
+
+def _check_cameras(
+    recordings: Sequence[Named], surveys: Sequence[Survey], options: ImportOptions, found: Found
+) -> None:
+    """Check that recordings of one kind have one camera, unless it was chosen; each kind has names of its own."""
+    kinds = {source.path: source.kind for source in found.sources}
+    first = dict[Kind | None, tuple[Path, str]]()
+    for recording, survey in zip(recordings, surveys, strict=True) if options.camera is None else ():
+        path, camera = first.setdefault(kinds.get(recording.path), (recording.path, survey.camera))
+        if survey.camera != camera:
+            raise RecordingImportError(
+                f"the recordings have different cameras: {camera!r} in {str(path)!r}, {survey.camera!r} in "
+                f"{str(recording.path)!r}. A data set has one camera: name the recordings of one alone, or choose one "
+                f"with '--camera {camera}' and leave the recordings without it out with '--skip-damaged'. If these are "
+                "names of one camera, a part of the path that they share is enough for '--camera'."
+            )
 
 
 def _check_sizes(recordings: Sequence[Named], surveys: Sequence[Survey]) -> None:
@@ -232,7 +250,8 @@ def _plan(
                 pieces = [commanded(piece, segment.commands) for piece in pieces]
                 check_pace(recordings[number], segment.commands, pieces, options)
             parts = cut(pieces, longest=options.frames_per_episode, shortest=options.min_frames)
-            whole = bags.get(recordings[number].path, (number, index))  # what the parts are of
+            part = (number, index) if segment.source is None else (number, "source", segment.source)
+            whole = bags.get(recordings[number].path, part)  # what the parts are of
             source = sources.setdefault(whole, len(sources)) if parts else 0
             for piece in parts:
                 actions = None if segment.commands is None else step_actions(piece, segment.commands, names, options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Sequence
 from typing import Final
@@ -25,7 +26,7 @@ from dmotion_bench.storage.imports.continuous_commands import (
 )
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Named, Survey
-from dmotion_bench.storage.imports.timeline import Piece, interval_ns
+from dmotion_bench.storage.imports.timeline import Piece, interval_ns, steady_hz
 from dmotion_bench.wording import duration
 
 SEVERAL: Final = 1.1
@@ -150,7 +151,7 @@ def check_pace(recording: Named, commands: Commands, pieces: Sequence[Piece], op
 
 
 def pace_advice(given: Sequence[tuple[Piece, Commands | None]], options: ImportOptions) -> tuple[str, ...]:
-    """Sentences about continuous commands that are not kept, and about steps for which none came.
+    """Sentences about commands that are not kept, and about steps for which no continuous command came.
 
     Args:
         given: The episodes, each with the commands of its recording.
@@ -159,7 +160,7 @@ def pace_advice(given: Sequence[tuple[Piece, Commands | None]], options: ImportO
     continuous = [(piece, commands) for piece, commands in given if isinstance(commands, ContinuousCommands)]
     steps = sum(len(piece) - 1 for piece, _ in continuous)
     without = sum(_without_command(piece, commands, options.action_reduce) for piece, commands in continuous)
-    told = []
+    told = _dropped_choices([(piece, one) for piece, one in given if isinstance(one, DiscreteCommands)], options.hz)
     count = sum(int(np.ptp(first_commands(commands, piece)[[0, -1]])) for piece, commands in continuous)
     if options.action_reduce is Reduce.LAST and count >= SEVERAL * steps > 0:
         told.append(
@@ -174,6 +175,34 @@ def pace_advice(given: Sequence[tuple[Piece, Commands | None]], options: ImportO
         f"{without:,} of {steps:,} steps have no command of their own on {options.actions!r}: {instead}. If commands "
         "come slower than frames, lower '--hz'; if they pause, cut the pauses out of the recordings.",
     )
+
+
+def _dropped_choices(given: Sequence[tuple[Piece, DiscreteCommands]], hz: float) -> list[str]:
+    """A sentence about discrete commands that differ from those that are kept before and after them, if there are any.
+
+    Args:
+        given: The episodes, each with the commands of its recording.
+        hz: Frames a second.
+    """
+    steps = commands_in_all = 0
+    lossy = list[tuple[int, DiscreteCommands]]()
+    for piece, commands in given:
+        kept = in_force(commands, piece.t_ns)
+        names = commands.names[kept[0] : kept[-1] + 1]
+        changes = np.append(0, np.cumsum([one != two for one, two in itertools.pairwise(names)]))[kept - kept[0]]
+        seen = [commands.names[one] != commands.names[two] for one, two in itertools.pairwise(kept.tolist())]
+        lossy.append((int((np.diff(changes) > seen).sum()), commands))
+        steps += len(kept) - 1
+        commands_in_all += int(kept[-1] - kept[0])
+    lost = sum(count for count, _ in lossy)
+    if lost <= steps // LOST:
+        return []
+    rate = steady_hz(max(lossy, key=lambda one: one[0])[1].times_ns)
+    way_out = f"'--hz {rate:.4g}' keeps all" if rate > hz else "a higher '--hz' keeps more"
+    return [
+        f"each action stands for {commands_in_all / steps:.2g} commands, of which the one in force halfway is kept, "
+        f"and in {lost:,} of {steps:,} steps others are left out that differ; {way_out}."
+    ]
 
 
 def _without_command(piece: Piece, commands: ContinuousCommands, how: Reduce) -> int:

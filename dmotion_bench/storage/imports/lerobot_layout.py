@@ -29,6 +29,8 @@ EPISODES_V2: Final = Path("meta") / "episodes.jsonl"
 EPISODES_V3: Final = "meta/episodes/*/*.parquet"
 ACTION_NAMES: Final = "dmbench_actions"
 """Where ``data export`` leaves the actions' names within the feature, beside LeRobot's own keys."""
+SOURCE: Final = "dmbench_source"
+"""The column of the table of episodes in which ``data export`` leaves which recording each episode is a part of."""
 ROWS_AT_ONCE: Final = 4096
 """Of a table of episodes that are taken apart."""
 _KEY: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
@@ -43,6 +45,7 @@ class Placed:
         data: The file of its numbers.
         video: The file of its pictures, None where they are no video.
         start_s: When it begins in that file [s].
+        source: The number of the recording that it is a part of, where ``data export`` has left one.
     """
 
     number: int
@@ -50,6 +53,7 @@ class Placed:
     data: Path
     video: Path | None
     start_s: float = 0.0
+    source: int | None = None
 
 
 class LeRobotLayout:
@@ -131,7 +135,12 @@ class LeRobotLayout:
 
     def _has_files(self, camera: str) -> bool:
         """Whether a camera's pictures were downloaded; those in tables come with the numbers."""
-        return self.kind(camera) != "video" or next(self.path.glob(self._videos(camera)), None) is not None
+        return self.kind(camera) != "video" or next(self._shown(self._videos(camera)), None) is not None
+
+    def _shown(self, pattern: str) -> Iterator[Path]:
+        """The files of a pattern that are not hidden; macOS leaves a file ``._NAME`` beside each that it copies."""
+        found = self.path.glob(pattern)
+        return (file for file in found if not any(part.startswith(".") for part in file.relative_to(self.path).parts))
 
     def _videos(self, camera: str) -> str:
         return f"videos/*/{camera}/*.mp4" if self.is_v2 else f"videos/{camera}/*/*.mp4"
@@ -207,7 +216,7 @@ class LeRobotLayout:
         """
         pictures = self._videos(camera) if self.kind(camera) == "video" else f"images/{camera}/*/*"
         episodes = EPISODES_V2.as_posix() if self.is_v2 else EPISODES_V3
-        found = [self.path.glob(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
+        found = [self._shown(pattern) for pattern in (episodes, "data/*/*.parquet", pictures)]
         files = sorted([self.path / INFO, *itertools.chain(*found)])
         for file in files:
             if not file.is_file():
@@ -268,23 +277,29 @@ class LeRobotLayout:
         columns = ["episode_index", "length", "data/chunk_index", "data/file_index"]
         if with_video:
             columns += [f"{video}/chunk_index", f"{video}/file_index", f"{video}/from_timestamp"]
-        tables = sorted(self.path.glob(EPISODES_V3))
+        tables = sorted(self._shown(EPISODES_V3))
         if not tables:
             raise self.bad("lacks 'meta/episodes/chunk-000/file-000.parquet', the table of its episodes")
         for file in tables:
             require_content(file)
-            for number, frames, *place in _rows(self.table(file, columns), columns):
+            table = self.table(file, columns, also=(SOURCE,))
+            left = [SOURCE] if SOURCE in table.column_names else []
+            for number, frames, *place in _rows(table, [*columns, *left]):
+                source = place.pop() if left else None
                 start_s = place.pop() if with_video else 0.0
                 if not isinstance(start_s, int | float) or not math.isfinite(start_s) or not 0 <= start_s < 2**31:
                     raise self.bad(f"says that an episode starts at {str(start_s)[:40]!r} s of its video")
                 if not all(isinstance(value, int) and 0 <= value < 2**31 for value in (number, frames, *place)):
                     raise self.bad(f"has an episode without a place: {str((number, frames, *place))[:120]}")
+                if source is not None and not (isinstance(source, int) and 0 <= source < 2**31):
+                    raise self.bad(f"says that an episode is a part of the recording {str(source)[:40]!r}")
                 yield Placed(
                     number=number,
                     frames=frames,
                     data=self.path / "data/chunk-{:03d}/file-{:03d}.parquet".format(*place),
                     video=self.path / f"{video}/chunk-{place[2]:03d}/file-{place[3]:03d}.mp4" if with_video else None,
                     start_s=float(start_s),
+                    source=source,
                 )
 
     def _episodes_v2(self, camera: str, with_video: bool) -> Iterator[Placed]:

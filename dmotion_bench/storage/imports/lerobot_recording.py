@@ -93,7 +93,8 @@ class LeRobotRecording:
                 size = self._picture_size(placed) if placed.video is None else self._video_size(placed.video, of_files)
                 taken = self._when_taken(placed)
                 times = np.rint((taken - taken[0]) * (1e9 / self._layout.fps)).astype(np.int64)
-                segment = Segment(times_ns=times, commands=self._commands(placed, times), name=name)
+                commands = self._commands(placed, times)
+                segment = Segment(times_ns=times, commands=commands, name=name, source=placed.source)
                 sound.append((placed, taken, segment))
                 sizes.append(size)
                 count += placed.frames

@@ -82,14 +82,17 @@ class ImportOptions:
             if value is None and name == "source_hz":
                 continue
             if value is None or not low <= value <= high:
-                raise InvalidSetting(f"{name} is {value}; allowed is {low} ... {high}.")
+                option = f"--{name.replace('_', '-')}"
+                raise InvalidSetting(f"'{option}' is {value}; allowed is {low} ... {high}.")
         if self.max_gap_s is not None and not 0 < self.max_gap_s < math.inf:
             raise InvalidSetting(
-                f"max_gap_s is {self.max_gap_s}; a gap is longer than 0 s, and no recording is endless."
+                f"'--max-gap' is {self.max_gap_s}; a gap is longer than 0 s, and no recording is endless: give "
+                "seconds, such as '--max-gap 0.5', or leave it out."
             )
         if self.min_frames > self.frames_per_episode:
             raise InvalidSetting(
-                f"min_frames is {self.min_frames}, more than the {self.frames_per_episode} frames_per_episode."
+                f"'--min-frames' is {self.min_frames}, and longer episodes than '--frames-per-episode' "
+                f"{self.frames_per_episode} are cut: no episode would be left. Lower the one or raise the other."
             )
 
 

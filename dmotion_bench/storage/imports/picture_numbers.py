@@ -29,6 +29,8 @@ _TIME: Final = re.compile(r"\d{13}|\d{16}|\d{19}")  # in milliseconds, microseco
 _CLOCK: Final = re.compile(r"([01]\d|2[0-3])[0-5]\d[0-5]\d")
 _DATE: Final = re.compile(rf"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])({_CLOCK.pattern}\d*)?")
 _LONGEST: Final = 2**62  # [ns] that 64 bits hold
+_MOST_CAMERAS: Final = 8  # that one folder holds pictures of
+_MOST_LACKING: Final = 10  # of so many pictures of several cameras one may be missing
 _MOST_STEPS: Final = 1_000_000  # between two pictures: a longer pause is as good as endless
 
 
@@ -46,6 +48,23 @@ def steps_between(names: Sequence[str]) -> Int64[np.ndarray, " n"] | None:
     for told in (*map(_time_steps, times), *map(_number_steps, numbers)):
         if told is not None:
             return told
+    return None
+
+
+def repeated_with_others(names: Sequence[str]) -> tuple[list[str], int] | None:
+    """The values of a number that has few, each with the same others, and how many others: as cameras are numbered.
+
+    Args:
+        names: Of the pictures of one folder, with the same text around their numbers.
+    """
+    rows = [tuple(NUMBER.findall(name)) for name in names]
+    for place in range(len(rows[0]) if rows else 0):
+        values = dict.fromkeys(row[place] for row in rows)
+        if not 2 <= len(values) <= _MOST_CAMERAS:
+            continue
+        others = {row[:place] + row[place + 1 :] for row in rows}
+        if len(others) > len(values) and _MOST_LACKING * len(rows) >= (_MOST_LACKING - 1) * len(values) * len(others):
+            return list(values), len(others)
     return None
 
 

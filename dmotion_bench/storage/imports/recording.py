@@ -33,6 +33,7 @@ class Segment:
         name: What a recording with several segments calls this one, for sentences; empty where it is the only one.
         number: By which ``Recording.pictures`` knows it; None: its place in the survey.
         jumps: Numbers of frames before which the clock jumped: no frames are missing there.
+        source: The number of what this is a part of, which the recording's other parts of it have too; None: nothing.
     """
 
     times_ns: Int64[np.ndarray, " n"]
@@ -40,6 +41,7 @@ class Segment:
     name: str = ""
     number: int | None = None
     jumps: Sequence[int] = ()
+    source: int | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

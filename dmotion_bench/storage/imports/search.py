@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -26,10 +26,12 @@ from dmotion_bench.storage.imports.picture_folder import (
     episode_folders,
     folder_and_pattern,
     listed_patterns,
+    pattern_of,
     patterns_in,
 )
+from dmotion_bench.storage.imports.picture_numbers import NUMBER
 from dmotion_bench.storage.imports.sources import CONVERT_BAG, KNOWN, SUFFIXES, Kind, Source, camera_file, kind_of
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, shown
 
 _SHOWN: Final = 5  # names in a sentence
 
@@ -62,13 +64,14 @@ class Found:
             raise fault
 
 
-def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False) -> Found:
+def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False, skip_damaged: bool = False) -> Found:
     """The recordings that are meant: files as they are, folders by what is in them.
 
     Args:
         paths: Files and folders.
         camera: The camera that was asked for; of pictures it is a folder, of videos it may be the name of files.
         salvage: Whether empty files are told of and no faults, if there are recordings besides them.
+        skip_damaged: Whether recordings with a fault are left out.
 
     Raises:
         UsageError: A recording is named twice.
@@ -86,7 +89,7 @@ def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False) ->
     sources = [one for one in sources if one.path not in empty]
     is_harmless = salvage and bool(sources)
     if not is_harmless:
-        faults |= {path: _empty(path, sources) for path in empty}
+        faults |= {path: _empty(path, sources, skip_damaged) for path in empty}
     folders = {one.path: episode_folders(one.path, camera) for one in sources if one.kind is Kind.PICTURES}
     require_once(sources, folders)
     taken = _taken(sources, folders, camera, [*faults, *empty])
@@ -97,7 +100,7 @@ def find(paths: Sequence[Path], camera: str | None, *, salvage: bool = False) ->
         faults=faults,
         told=[
             *(sentence for one in over for sentence in one.sentences(camera)),
-            *(sentence for path in paths if (sentence := _likely_cameras(path, sources)) is not None),
+            *(told for path in paths if (told := _likely_cameras(path, sources) or _likely_views(path, sources))),
             *told_of_bags(bags),
             *([_told_of_empty(list(empty))] if empty and is_harmless else []),
         ],
@@ -183,6 +186,23 @@ def _likely_cameras(folder: Path, sources: Sequence[Source]) -> str | None:
     )
 
 
+def _likely_views(folder: Path, sources: Sequence[Source]) -> str | None:
+    """What is told of videos in one folder whose names have several patterns with the same numbers, as views have."""
+    numbers: dict[str, set[tuple[str, ...]]] = {}
+    for stem in (one.path.stem for one in sources if one.kind is Kind.VIDEO and one.path.parent == folder):
+        numbers.setdefault(pattern_of(stem), set()).add(tuple(NUMBER.findall(stem)))
+    for first, given in numbers.items():
+        alike = [name for name, other in numbers.items() if len(given & other) >= max(2, (len(given | other) + 1) // 2)]
+        if len(alike) > 1:
+            return (
+                f"the names of the videos in {str(folder)!r} have several patterns with the same numbers ('#' is a "
+                f"number): {', '.join(map(shown, alike[:_SHOWN]))}{' and more' if len(alike) > _SHOWN else ''}. If "
+                f"they are several cameras, import one of them, such as with --camera {shown(first)}: a data set has "
+                "one camera."
+            )
+    return None
+
+
 def _doubt(over: PassedOver) -> str:
     """What is said of pictures that are too few, beside others that were passed over."""
     named = command("dmbench data import", over.readable[0])
@@ -218,14 +238,14 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
         )
     if (folder / INFO).is_file():
         return [Source(path=folder, kind=Kind.LEROBOT)]
-    entries = in_natural_order(one for one in folder.iterdir() if not one.name.startswith("."))
+    entries = in_natural_order(_shown_in(folder))
     found = [Source(path=one, kind=kind) for one in entries if one.is_file() and (kind := _suffix_kind(one))]
     for inner in [] if found else [one for one in entries if one.is_dir()]:
         try:
             if (inner / INFO).is_file():
                 found.append(Source(path=inner, kind=Kind.LEROBOT))
             elif not is_dataset(inner):
-                files = in_natural_order(one for one in inner.iterdir() if one.is_file())
+                files = in_natural_order(one for one in _shown_in(inner) if one.is_file())
                 found += [Source(path=one, kind=kind) for one in files if (kind := _suffix_kind(one))]
         except OSError as error:
             faults[inner] = _unreadable(inner, error)
@@ -244,6 +264,11 @@ def _in_folder(folder: Path, camera: str | None, faults: dict[Path, RecordingImp
     return found
 
 
+def _shown_in(folder: Path) -> Iterator[Path]:
+    """What lies in a folder and is not hidden; macOS leaves a file ``._front.mp4`` beside each that it copies."""
+    return (one for one in folder.iterdir() if not one.name.startswith("."))
+
+
 def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[Source]:
     """Of videos those that are called like the camera, unless it is the number of a stream in each.
 
@@ -257,8 +282,9 @@ def _of_camera(found: list[Source], folder: Path, camera: str | None) -> list[So
         names = list(dict.fromkeys(source.path.stem for source in found))
         more = f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else ""
         raise RecordingImportError(
-            f"no video in {str(folder)!r} is called {camera!r}; '--camera' names video files without their suffix, or "
-            f"the number of a stream in them. The files are: {', '.join(names[:_SHOWN])}{more}."
+            f"no video in {str(folder)!r} is called {camera!r}; '--camera' names video files without their suffix, "
+            f"with '#' for each number or as they are, or the number of a stream in them. The files are: "
+            f"{', '.join(names[:_SHOWN])}{more}."
         )
     return chosen
 
@@ -291,10 +317,11 @@ def _is_empty(path: Path) -> bool:
         return False
 
 
-def _empty(file: Path, others: Sequence[Source]) -> RecordingImportError:
-    way_out = "leave it out with '--skip-damaged'" if others else "name another recording"
+def _empty(file: Path, others: Sequence[Source], is_skipped: bool) -> RecordingImportError:
+    way_out = ", or leave it out with '--skip-damaged'" if others else ", or name another recording"
     return RecordingImportError(
-        f"{str(file)!r} is empty: nothing was recorded, or its content was not copied. Copy it again, or {way_out}."
+        f"{str(file)!r} is empty: nothing was recorded, or its content was not copied. Copy it again"
+        f"{'' if others and is_skipped else way_out}."
     )
 
 

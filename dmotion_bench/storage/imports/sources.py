@@ -15,7 +15,7 @@ from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_recording import McapRecording
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.passed_over import CONVERTER, NOT_READ, arrays_of
-from dmotion_bench.storage.imports.picture_folder import PictureFolder
+from dmotion_bench.storage.imports.picture_folder import PictureFolder, pattern_of
 from dmotion_bench.storage.imports.recording import Clock, Recording
 
 
@@ -108,8 +108,8 @@ def require_effect(sources: Sequence[Source], options: ImportOptions) -> None:
 
 
 def camera_file(video: Path, camera: str | None) -> bool:
-    """Whether a video is a camera's by its name; a number is that of a stream in it."""
-    return camera is not None and video.stem == camera and not camera.isdecimal()
+    """Whether a video is a camera's by its name or its pattern; a number is that of a stream in it."""
+    return camera is not None and camera in (video.stem, pattern_of(video.stem)) and not camera.isdecimal()
 
 
 def open_recording(source: Source, options: ImportOptions, confinement: Confinement) -> Recording:

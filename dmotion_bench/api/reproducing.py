@@ -125,6 +125,7 @@ def reproduce(
     Raises:
         UnknownName, UsageError: A name or a value that is not allowed.
         RecipeMismatch: The folder of a data set holds another one.
+        RunMismatch: The folder of a run holds one of other settings or other data.
 
     Example:
         >>> told = dm.reproduce("labels", preset="tiny", models=["lapo"], worlds=["planar_push"], dry_run=True)
@@ -160,6 +161,7 @@ def plan_table(
     Raises:
         UnknownName, UsageError: A name that is not registered or not in the table, or nothing is left of it.
         RecipeMismatch: The folder of a data set holds another one.
+        RunMismatch: The folder of a run holds one of other settings or other data.
     """
     if not isinstance(table, str | Table):
         raise UsageError(f"{shown(table)} is no table; give a table's name, such as 'paper', or a Table.")
@@ -170,8 +172,7 @@ def plan_table(
     )
     require_models(narrowed)
     plan = Plan(narrowed, name, Workspace.current())
-    for recording in plan.recordings:
-        recording.require_own()
+    plan.require_own()
     return plan
 
 
@@ -206,6 +207,7 @@ def make(plan: Plan, cost: Cost, hands: Hands, watch: Watch | None = None) -> Re
     """
     work = _Work(plan, hands, watch or Watch())
     work.record()
+    plan.require_own()  # runs may have learnt from data that were recorded anew
     work.train()
     for columns in plan.pages():
         for column in columns:

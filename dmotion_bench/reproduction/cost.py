@@ -14,8 +14,9 @@ from dmotion_bench.errors import DmbenchError
 from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.planning.solvers.base import Solver
-from dmotion_bench.reproduction.plan import Plan, Recording, Scoring, Training, epochs_of
-from dmotion_bench.reproduction.settled import State, state_of
+from dmotion_bench.reproduction.plan import Plan, Scoring, Training, epochs_of
+from dmotion_bench.reproduction.recording import Recording
+from dmotion_bench.reproduction.settled import Page, State, state_of
 from dmotion_bench.reproduction.speeds import Speeds
 from dmotion_bench.reproduction.table import Column
 from dmotion_bench.scoring.control import ControlScoring

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.learning.data.curriculum import TrainingData, held_for_validation
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import LabelBudget
@@ -197,6 +197,20 @@ def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, work
         threads=request.threads,
         actions=dataset.spec.actions,
     )
+
+
+def differences(request: TrainingRequest, dataset: Dataset, folder: Path) -> str:
+    """In what the run of a folder differs from a request that would stand there; empty if in nothing.
+
+    Raises:
+        RunError: The folder holds none that can be read.
+    """
+    run = Run.open(folder)
+    spec = _streamed_where_needed(request, resolve(request, dataset), dataset, folder)
+    try:
+        return "; ".join(run.differences(spec, request.threads))
+    except InvalidSetting as error:  # of an earlier or a later version
+        return str(error).rstrip(".")
 
 
 def _streaming(request: TrainingRequest, training: TrainingConfig) -> TrainingConfig:

@@ -233,7 +233,7 @@ class _Estimate:
             known |= {(report, path) for report, state in by_report for path in state.to_enter}
             unknown = {(report, id(one)): count for report, state in by_report for _, one, count in state.to_train}
             missing = len(known) + sum(unknown.values())
-            left += bool(missing)
+            left += bool(missing) or Page(self.plan.page(columns[0])).is_behind()
             entries += missing
         self._add("page", self.plan.name, left, f"{entries} entries", lambda: ENTRY_S * entries)
 

@@ -141,6 +141,11 @@ class Scoring:
         return asked
 
     @property
+    def references(self) -> tuple[str, ...]:
+        """The references that are to stand beside the runs' control."""
+        return self.column.references if self.tasks() else ()
+
+    @property
     def place(self) -> Recording:
         """The recording whose episodes and tasks they are scored on."""
         return self.scored_on or self.recording

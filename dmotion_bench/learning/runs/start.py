@@ -258,12 +258,17 @@ def training_data(run: Run, dataset: Dataset, loaders: int | None = None) -> Tra
         loaders: Threads that read, where the frames are streamed; None for the usual number.
 
     Raises:
-        UsageError: There are too few episodes to train and validate.
+        UsageError: There are too few episodes to train and validate, or ``loaders`` are given and nothing is streamed.
     """
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
     train: TripletSet | StreamedTriplets
     validation: TripletSet | StreamedTriplets
-    if window := run.spec.training_config.window:
+    window = run.spec.training_config.window
+    if loaders is not None and not window:
+        raise UsageError(
+            f"'--loaders {loaders}' is for a training that reads the compressed files; add '--stream', or leave it out."
+        )
+    if window:
         train, validation = (
             StreamedTriplets.of_split(dataset, name, window=window, loaders=loaders or LOADERS)
             for name in ("train", "validation")

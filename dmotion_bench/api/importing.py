@@ -154,7 +154,8 @@ def import_recordings(
         if executor == "local" and workers is None:
             workers = available_workers(options.limits.reader_bytes / 2**30)
         job = JobSize(gigabytes=_CLUSTER_GIGABYTES, minutes=_CLUSTER_MINUTES)
-        with jobs_folder(place) as jobs, watching(jobs, watch):
+        meeting = place if out is None else Workspace(folder.absolute().parent)
+        with jobs_folder(meeting) as jobs, watching(jobs, watch):
             hands = make_executor(executor, workers, scratch=jobs / executor, size=job)
             return import_fleet(paths, folder, options, hands, skip_damaged=skip_damaged, progress=say, jobs=jobs)
 

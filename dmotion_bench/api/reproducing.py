@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -25,14 +25,13 @@ from dmotion_bench.registry import leaderboard_part
 from dmotion_bench.registry import table as table_named
 from dmotion_bench.reproduction.cost import Cost, control_places, cost_of
 from dmotion_bench.reproduction.plan import Plan, Training, require_models
-from dmotion_bench.reproduction.settled import Page, state_of
+from dmotion_bench.reproduction.settled import INDEX, Page, has_figures, is_of, state_of
 from dmotion_bench.reproduction.speeds import Speeds
 from dmotion_bench.reproduction.table import Column, Table
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.reference_job import ReferenceJob, score_reference_job
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.json_file import read_json
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import AnyPath, Workspace, as_path, in_workspace
 
@@ -125,6 +124,7 @@ def reproduce(
     Raises:
         UnknownName, UsageError: A name or a value that is not allowed.
         RecipeMismatch: The folder of a data set holds another one.
+        RunMismatch: The folder of a run holds one of other settings or other data.
 
     Example:
         >>> told = dm.reproduce("labels", preset="tiny", models=["lapo"], worlds=["planar_push"], dry_run=True)
@@ -160,6 +160,7 @@ def plan_table(
     Raises:
         UnknownName, UsageError: A name that is not registered or not in the table, or nothing is left of it.
         RecipeMismatch: The folder of a data set holds another one.
+        RunMismatch: The folder of a run holds one of other settings or other data.
     """
     if not isinstance(table, str | Table):
         raise UsageError(f"{shown(table)} is no table; give a table's name, such as 'paper', or a Table.")
@@ -170,8 +171,7 @@ def plan_table(
     )
     require_models(narrowed)
     plan = Plan(narrowed, name, Workspace.current())
-    for recording in plan.recordings:
-        recording.require_own()
+    plan.require_own()
     return plan
 
 
@@ -206,6 +206,7 @@ def make(plan: Plan, cost: Cost, hands: Hands, watch: Watch | None = None) -> Re
     """
     work = _Work(plan, hands, watch or Watch())
     work.record()
+    plan.require_own()  # runs may have learnt from data that were recorded anew
     work.train()
     for columns in plan.pages():
         for column in columns:
@@ -278,16 +279,25 @@ class _Work:
         return found
 
     def score(self, column: Column) -> None:
-        """Score the runs of a column that lack figures."""
+        """Score the runs of a column that lack figures, except beside a reference that failed: those wait for it."""
         state = state_of(self.plan, column)
+        lacking: set[Path] = set()
         for reference in column.references:
             places = control_places(state)
             if places:
-                self._references(reference, column, [(one.place.folder, one.control) for one in places])
+                lacking |= self._references(reference, column, [(one.place.folder, one.control) for one in places])
         part = f"scoring {column.name}"
-        total, done = len(state.to_score), 0
-        for scoring in self.plan.of_column(column):
-            paths = [path for one, _, path in state.to_score if one is scoring]
+        scorings = self.plan.of_column(column)
+        ready = [one for one in scorings if not (one.references and one.place.folder.absolute() in lacking)]
+        # what stands without its references is scored again: they are put beside a model when it is scored
+        to_score = [
+            (one, path, not (one.references and has_figures(path, one)))
+            for one, _, path in state.to_score
+            if one in ready
+        ]
+        total, done = len(to_score), 0
+        for scoring, keep in itertools.product(ready, (True, False)):
+            paths = [path for one, path, kept in to_score if one is scoring and kept is keep]
             if not paths:
                 continue
 
@@ -300,6 +310,7 @@ class _Work:
                 scoring.settings,
                 self.workspace,
                 replace(self.hands, count=count, watch=self.watch.jobs),
+                keep=keep,
                 data=scoring.data,
                 note=self.watch.note,
             )
@@ -307,16 +318,17 @@ class _Work:
             done += len(paths)
 
     def build(self, columns: Sequence[Column]) -> None:
-        """Build the page of some columns, if an entry is missing on it. What stands there of other parts stays."""
+        """Build the page of some columns, if it lacks an entry or is behind. What stands there of other parts stays."""
         states = [state_of(self.plan, column) for column in columns]
         folder = self.plan.page(columns[0])
         new = list(dict.fromkeys(path for state in states for path in state.to_enter))
-        if new:
+        page = Page(folder)
+        standing = [path for state in states for path in state.standing]
+        if new or (standing and page.is_behind()):
             part = f"building {folder.name}"
             runs = {path.name for training in self.plan.trainings for path in training.runs(self.workspace)}
-            standing = [path for state in states for path in state.standing]
-            standing += Page(folder).beside(runs, self.plan.table.preset)
-            kept = [path for path in dict.fromkeys(standing) if not _is_of(path, new)]
+            standing += page.beside(runs, self.plan.table.preset)
+            kept = [path for path in dict.fromkeys(standing) if not is_of(path, new)]
 
             def show(_: str, done: int, total: int) -> None:
                 self.watch.count(part, done, total)
@@ -324,11 +336,13 @@ class _Work:
             built = leaderboard_part("build")(new, kept, folder, on_progress=show)
             lacking = {path.name for column in columns for path in state_of(self.plan, column).to_enter}
             self.failures |= {f"the entry of {run}": _why_lacking(run, built.left_out) for run in lacking}
-        if (page := folder / "index.html").is_file():
-            self.pages.append(page)
+        if (index := folder / INDEX).is_file():
+            self.pages.append(index)
 
-    def _references(self, name: str, column: Column, places: Sequence[tuple[Path, ControlScoring]]) -> None:
+    def _references(self, name: str, column: Column, places: Sequence[tuple[Path, ControlScoring]]) -> set[Path]:
+        """Score a reference on some data sets; the folders of those on which it failed."""
         part = f"control by {name} for {column.name}"
+        lacking: set[Path] = set()
         with self._executing(len(places)) as (executor, folder):
             jobs = [
                 ReferenceJob(name=name, data=data.absolute(), scoring=scoring, progress=folder / f"{number}.json")
@@ -338,12 +352,15 @@ class _Work:
             results = executor.map_unordered(score_reference_job, jobs)
             with watching(folder, self.watch.jobs), contextlib.closing(results):
                 try:
-                    for done, failure in enumerate(results, start=1):
+                    for done, (data, failure) in enumerate(results, start=1):
                         self.watch.count(part, done, len(jobs))
                         if failure:
                             self._note_failure(part, failure)
+                            lacking.add(data)
                 except JobsLost as lost:
                     self._note_failure(part, str(lost))
+                    lacking |= {job.data for job in lost.jobs}
+        return lacking
 
     @contextlib.contextmanager
     def _executing(self, jobs: int) -> Iterator[tuple[Executor, Path]]:
@@ -381,8 +398,3 @@ def _why_lacking(run: str, left_out: Mapping[str, str]) -> str:
     """What was said of a run, or of it on other data, when its page was built."""
     said = (why for name, why in left_out.items() if name == run or name.startswith(f"{run} on "))
     return next(said, "it is not there")
-
-
-def _is_of(entry: Path, runs: Iterable[Path]) -> bool:
-    """Whether an entry's file is of one of these runs, so that it is written anew."""
-    return read_json(entry).get("run") in {run.name for run in runs}

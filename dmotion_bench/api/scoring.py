@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import SupportsIndex
 
@@ -43,6 +43,7 @@ __all__ = [
     "control_scoring",
     "names_apart",
     "read_report_samples",
+    "require_control",
     "score",
     "score_references",
     "score_runs",
@@ -122,10 +123,13 @@ def score(
         precision=precision,
         control=control_scoring(tasks, planner, planner_settings, objective, objective_settings, column=column),
     )
+    asked = None if metrics is None else as_metrics([metrics] if isinstance(metrics, str) else metrics)
+    of_control = {"planner": planner, "planner_settings": planner_settings, "objective": objective, "tasks": tasks}
+    require_control(asked, column, of_control)
     path = place.run(run)
     reports, _ = score_runs(
         [path],
-        None if metrics is None else as_metrics([metrics] if isinstance(metrics, str) else metrics),
+        asked,
         settings,
         batch_size=batch_size,
         device=str(device),  # torch's own may be given, too
@@ -289,6 +293,22 @@ def control_scoring(
         group=group,
         column=column,
     )
+
+
+def require_control(metrics: Sequence[Metric] | None, column: str | None, given: Mapping[str, object]) -> None:
+    """Refuse settings of control where no control is scored.
+
+    Args:
+        metrics: Which groups of figures are asked for; None for the usual ones, without control.
+        column: Of the table of control, which asks for it.
+        given: The settings, by what they are called where they were given.
+
+    Raises:
+        UsageError: One was given.
+    """
+    named = " and ".join(name for name, value in given.items() if value)
+    if named and column is None and "control" not in (metrics or ()):
+        raise UsageError(f"{named} would change nothing without control; ask for it in the metrics, or leave it out.")
 
 
 def as_metrics(asked: Iterable[str], option: str = "metrics") -> tuple[Metric, ...]:

@@ -110,7 +110,7 @@ def view(
         what: A folder, or a name in the workspace; several runs are shown side by side.
         save: A file to write instead of opening a window: ``FILE.rrd`` for Rerun, ``FILE.gif`` or ``FILE.webp`` for an
             animation of real episodes beside the predicted ones.
-        web: Whether to serve a local web page instead of opening a window.
+        web: Whether to serve a local web page instead of opening a window, of a Rerun file that is saved, too.
         episodes: Which ones; a few telling ones by default.
         split: ``"train"``, ``"validation"`` or ``"test"``: where they are chosen from.
         steps: Of an animation, at most; 30 by default.
@@ -118,7 +118,7 @@ def view(
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
 
     Returns:
-        The file, if one was written; the page, if one is served. A window returns None when it is closed.
+        The page, if one is served; else the file, if one was written. A window returns None when it is closed.
 
     Raises:
         UnknownName: There is nothing of this name.
@@ -151,7 +151,7 @@ def view(
     if file is None and not web:
         require_display()  # said before the work, not after it
     if animated and file is not None:
-        require_runs(targets)
+        require_runs(targets, alone=not web)
         write_animation_of(targets, file, episodes, split, other, steps, place)
         return file
     if targets[0].kind == "recording":
@@ -163,8 +163,8 @@ def view(
     with contextlib.ExitStack() as stack:
         written = file or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dmbench-view-"))) / "scene.rrd"
         write_scene_of(targets, written, episodes, split, other, place)
-        served = None if file is not None else show(written, web=web, stack=stack)
-    return served if file is None else file
+        served = show(written, web=web, stack=stack) if web or file is None else None
+    return served if web else file
 
 
 def _numbers_of(episodes: object) -> list[int]:

@@ -29,6 +29,7 @@ from safetensors.numpy import load_file
 
 from dmotion_bench.benchmarks.machine import processor
 from dmotion_bench.benchmarks.scene import scene_frames
+from dmotion_bench.workspace import CACHE_VARIABLE
 
 PARTS: Final = ("record", "import", "train", "score", "control", "check", "processes")
 WORLD: Final = "planar_push"
@@ -213,9 +214,10 @@ def _difference(one: np.ndarray[Any, Any], other: np.ndarray[Any, Any]) -> float
 
 
 def _typed(workspace: Path, words: Sequence[str], *, may_fail: bool = False) -> str:
-    """What a command prints; one thread a process, so that workers are what scales."""
+    """What a command prints; one thread a process, so that workers are what scales, and a cache of its own."""
     workspace.mkdir(parents=True, exist_ok=True)
     environment = os.environ | {"DMBENCH_WORKSPACE": str(workspace), "OMP_NUM_THREADS": "1", "DMBENCH_QUIET": "1"}
+    environment.pop(CACHE_VARIABLE, None)
     done = subprocess.run(
         [sys.executable, "-c", _MAIN, *words],
         env=environment,

@@ -57,10 +57,13 @@ def plan(
     from dmotion_bench.api.scoring import control_scoring
     from dmotion_bench.cli.live import live_recording
     from dmotion_bench.cli.progress import BarOnDemand
+    from dmotion_bench.errors import UsageError
     from dmotion_bench.viewing.viewer import require_display
     from dmotion_bench.workspace import Workspace
 
     require_known_suffix("--save", save)
+    if as_json and web:
+        raise UsageError("--json shows nothing, and --web shows a page; leave out one of them.")
     chosen = control_scoring(
         None, planner, planner_set, objective, objective_set, steps=steps, seed=seed, group=1, column=column
     )

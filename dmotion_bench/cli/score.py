@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
 
@@ -30,6 +30,9 @@ if TYPE_CHECKING:
     from dmotion_bench.scoring.settings import Metric, ScoreSettings
     from dmotion_bench.workspace import Workspace
 
+_OF_MODELS: Final = ("split", "horizon", "batch_size", "precision", "device")
+"""Options that decide how a model is scored, and nothing of a reference."""
+
 
 def register(app: typer.Typer) -> None:
     """Add the command."""
@@ -37,6 +40,7 @@ def register(app: typer.Typer) -> None:
 
 
 def score(
+    context: typer.Context,
     runs: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -113,7 +117,7 @@ def score(
     require_one_of("precision", precision, ("float32", "bf16"))
     require_one_of("device", device, DEVICES)
     use_cache(cache)
-    from dmotion_bench.api.scoring import ScoreSettings, as_metrics, control_scoring
+    from dmotion_bench.api.scoring import ScoreSettings, as_metrics, control_scoring, require_control
 
     asked = None if metrics is None else as_metrics([metrics], "--metrics")
     control = control_scoring(tasks, planner, planner_set, objective, objective_set, column=column)
@@ -127,8 +131,14 @@ def score(
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
         if given := [option for option, value in (("--workers", workers), ("--executor", executor)) if value]:
             raise UsageError(f"one process scores a reference; leave out {' and '.join(given)}.")
+        sources = {name: context.get_parameter_source(name) for name in _OF_MODELS}
+        if typed := [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]:
+            options = " and ".join(f"--{name.replace('_', '-')}" for name in typed)
+            raise UsageError(f"a reference works on the tasks without a model's predictions; leave out {options}.")
         _references([str(one) for one in named], workspace.dataset(data), control, as_json=as_json)
         return
+    of_control = {"--planner": planner, "--planner-set": planner_set, "--objective": objective, "--tasks": tasks}
+    require_control(asked, column, of_control)
     if every and runs:
         raise UsageError("--all scores every run; name runs or give --all, not both.")
     paths = workspace.all_runs() if every else list(dict.fromkeys(workspace.run(run) for run in runs or []))

@@ -14,9 +14,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
+from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.slurm_executor import cancel_left
-from dmotion_bench.storage.atomic import TEMPORARY_SUFFIX
+from dmotion_bench.storage.atomic import FULL, TEMPORARY_SUFFIX
 from dmotion_bench.storage.lock import try_lock
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import Workspace
 
 SECONDS: Final = 0.5
@@ -49,15 +51,26 @@ def jobs_folder(workspace: Workspace) -> Iterator[Path]:
     """A folder of the workspace in which jobs meet; what is left in it at the end is deleted, logs of failures stay.
 
     What commands of this machine left that were killed is deleted first, and their jobs of Slurm are cancelled.
+
+    Raises:
+        UsageError: No folder can be made there.
     """
-    workspace.root.mkdir(parents=True, exist_ok=True)
-    for user in workspace.root.glob(f"{_PREFIX}*/{_USER}"):
-        if _was_killed(user):
-            for inside in user.parent.iterdir():
-                cancel_left(inside)
-            shutil.rmtree(user.parent, ignore_errors=True)
-    folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=workspace.root)).absolute()
     try:
+        workspace.root.mkdir(parents=True, exist_ok=True)
+        folder = Path(tempfile.mkdtemp(prefix=_PREFIX, dir=workspace.root)).absolute()
+    except OSError as error:
+        if error.errno in FULL:
+            raise
+        raise UsageError(
+            f"jobs meet in a folder of {shown(str(workspace.root.absolute()))}, and none can be made there "
+            f"({error.strerror}); name another workspace with DMBENCH_WORKSPACE, for an import '--out DIR'."
+        ) from None
+    try:
+        for user in workspace.root.glob(f"{_PREFIX}*/{_USER}"):
+            if _was_killed(user):
+                for inside in user.parent.iterdir():
+                    cancel_left(inside)
+                shutil.rmtree(user.parent, ignore_errors=True)
         with (folder / _USER).open("w") as user_file:
             try_lock(user_file.fileno())
             user_file.write(socket.gethostname())

@@ -74,7 +74,8 @@ class RayExecutor:
             if not ray.is_initialized():
                 self._start()
             self._tell_of_waiting()
-            limit = self._workers or self._most(ray.cluster_resources())
+            # One more than can run, so that nobody waits; where a number was given, never more than that.
+            limit = self._workers or self._most(ray.cluster_resources()) + 1
 
             cache = os.environ.get(CACHE_VARIABLE)
             chosen = {CACHE_VARIABLE: str(Path(cache).absolute())} if cache else {}
@@ -87,8 +88,7 @@ class RayExecutor:
 
             task = ray.remote(num_cpus=self._each, num_gpus=self._gpus, max_retries=0)(run)
             while True:
-                # One more than can run, so that nobody waits.
-                while len(running) <= limit and (numbered := queue.next()) is not None:
+                while len(running) < limit and (numbered := queue.next()) is not None:
                     running[task.remote(numbered[1])] = numbered
                 if not running:
                     break

@@ -14,8 +14,9 @@ from dmotion_bench.errors import DmbenchError
 from dmotion_bench.planning.choices import make_solver
 from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.planning.solvers.base import Solver
-from dmotion_bench.reproduction.plan import Plan, Recording, Scoring, Training, epochs_of
-from dmotion_bench.reproduction.settled import State, state_of
+from dmotion_bench.reproduction.plan import Plan, Scoring, Training, epochs_of
+from dmotion_bench.reproduction.recording import Recording
+from dmotion_bench.reproduction.settled import Page, State, state_of
 from dmotion_bench.reproduction.speeds import Speeds
 from dmotion_bench.reproduction.table import Column
 from dmotion_bench.scoring.control import ControlScoring
@@ -232,7 +233,7 @@ class _Estimate:
             known |= {(report, path) for report, state in by_report for path in state.to_enter}
             unknown = {(report, id(one)): count for report, state in by_report for _, one, count in state.to_train}
             missing = len(known) + sum(unknown.values())
-            left += bool(missing)
+            left += bool(missing) or Page(self.plan.page(columns[0])).is_behind()
             entries += missing
         self._add("page", self.plan.name, left, f"{entries} entries", lambda: ENTRY_S * entries)
 

@@ -9,109 +9,32 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
 import torch
 
 from dmotion_bench.actions import ActionSpec
-from dmotion_bench.errors import DatasetError, DatasetMissing, DmbenchError, RunError, UsageError
+from dmotion_bench.errors import DmbenchError, RunError, RunMismatch, UsageError
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.model import ModelInputs
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest, default_path, resolve
+from dmotion_bench.learning.runs.start import TrainingRequest, default_path, differences, resolve
 from dmotion_bench.learning.settings import with_settings
 from dmotion_bench.learning.training.table import Row
 from dmotion_bench.planning.choices import make_objective
-from dmotion_bench.recording.preset import recipe_for
-from dmotion_bench.recording.session import environment_facts
 from dmotion_bench.registry import model_class
+from dmotion_bench.reproduction.recording import ELSEWHERE, Recording
 from dmotion_bench.reproduction.table import Column, Entrant, Table, World
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.gain import reason_against
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
-from dmotion_bench.specs import DatasetRecipe, EnvSpec, Preset, Supervision
-from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.manifest import Manifest
-from dmotion_bench.storage.shard import shard_count
-from dmotion_bench.storage.writer import check_recipe
-from dmotion_bench.workspace import Workspace
+from dmotion_bench.specs import EnvSpec, Preset, Supervision
+from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
 FEATURE: Final = "feature"
 """The objective of models that draw no frames, whatever a column says."""
-_ELSEWHERE: Final = "rename that folder, or name another workspace with DMBENCH_WORKSPACE"
-
-
-@dataclass(frozen=True)
-class Recording:
-    """A data set of a table.
-
-    Attributes:
-        world: What is recorded.
-        preset: Its size.
-        folder: Where.
-    """
-
-    world: World
-    preset: Preset
-    folder: Path
-
-    @cached_property
-    def recipe(self) -> DatasetRecipe:
-        """How it is recorded."""
-        world = self.world
-        return recipe_for(
-            world.environment,
-            self.preset,
-            episodes=world.episodes,
-            frames=world.frames,
-            tasks=world.tasks,
-            seed=world.seed,
-            vary=world.vary,
-            policy=world.policy,
-            settings=world.settings,
-        )
-
-    @cached_property
-    def facts(self) -> EnvSpec:
-        """What is true of its environment."""
-        return environment_facts(self.recipe)
-
-    def dataset(self) -> Dataset | None:
-        """The data set, once all of it is recorded."""
-        with contextlib.suppress(DatasetError):
-            dataset = Dataset.open(self.folder)
-            if len(dataset) >= self.recipe.episodes:
-                return dataset
-        return None
-
-    def is_recorded(self) -> bool:
-        """Whether the data set is there, as the table has it."""
-        dataset = self.dataset()
-        return dataset is not None and dataset.recipe == self.recipe
-
-    def require_own(self) -> None:
-        """See that the folder holds this data set, a part of it, or none.
-
-        Raises:
-            RecipeMismatch: It holds another one.
-            DatasetError: What it holds cannot be read.
-        """
-        if self.is_recorded():
-            return
-        with contextlib.suppress(DatasetMissing):
-            check_recipe(Manifest.read(self.folder), self.recipe, self.facts, self.folder, _ELSEWHERE)
-
-    def few(self, episodes: int) -> DatasetRecipe:
-        """A recipe of so few episodes, to try something on."""
-        return replace(self.recipe, episodes=min(episodes, self.recipe.episodes), tasks=1)
-
-    def shards_left(self) -> int:
-        """How many shards are still to be made."""
-        if self.dataset() is not None:
-            return 0
-        return shard_count(self.recipe) - len(list(self.folder.glob("video/*.mcap")))
 
 
 @dataclass(frozen=True)
@@ -147,8 +70,19 @@ class Training:
         dataset = self.recording.dataset()
         if dataset is None:
             return []
-        requests = [replace(self.request, model=row.model, labels=row.labels) for row in self.rows]
-        return [default_path(one, resolve(one, dataset), workspace) for one in requests]
+        return [default_path(one, resolve(one, dataset), workspace) for one in self._requests()]
+
+    def _requests(self) -> list[TrainingRequest]:
+        return [replace(self.request, model=row.model, labels=row.labels) for row in self.rows]
+
+    def others(self, workspace: Workspace) -> dict[Path, str]:
+        """In what the runs that stand in its folders differ from what it asks for, by the folders of those that do."""
+        dataset, found = self.recording.dataset(), {}
+        for request, path in zip(self._requests(), self.runs(workspace), strict=False):
+            if dataset is not None and (path / RUN_MANIFEST).exists():
+                with contextlib.suppress(RunError):  # its training says what is wrong with the folder
+                    found[path] = differences(request, dataset, path)
+        return {path: differing for path, differing in found.items() if differing}
 
     def left(self, workspace: Workspace) -> tuple[int, float]:
         """How many runs are still to be trained, and how many whole trainings that takes."""
@@ -207,6 +141,11 @@ class Scoring:
         return asked
 
     @property
+    def references(self) -> tuple[str, ...]:
+        """The references that are to stand beside the runs' control."""
+        return self.column.references if self.tasks() else ()
+
+    @property
     def place(self) -> Recording:
         """The recording whose episodes and tasks they are scored on."""
         return self.scored_on or self.recording
@@ -259,6 +198,27 @@ class Plan:
             if not column.worlds or label in column.worlds
             for scoring in self._scorings(column, recording, others.get(label))
         ]
+
+    def require_own(self) -> None:
+        """See that the folders of the table hold its data sets and runs, parts of them, or nothing.
+
+        Raises:
+            RecipeMismatch: One holds another data set.
+            RunMismatch: One holds a run of other settings, or one that learnt from other data.
+            DatasetError: What one holds cannot be read.
+        """
+        for recording in self.recordings:
+            recording.require_own()
+        others = {path: why for training in self.trainings for path, why in training.others(self.workspace).items()}
+        if not others:
+            return
+        first, differing = next(iter(others.items()))
+        more = [path.name for path in others if path != first]
+        besides = f" So do {len(more)} more: {', '.join(more)}." if more else ""
+        raise RunMismatch(
+            f"{str(first)!r} holds another run than the table {self.name!r} asks for: {differing}.{besides} To train "
+            f"anew, delete or {ELSEWHERE}."
+        )
 
     def page(self, column: Column) -> Path:
         """The folder of a column's page."""

@@ -6,7 +6,7 @@ the entry on that column's page alone.
 
 from __future__ import annotations
 
-from collections.abc import Container, Iterator, Mapping, Sequence
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,13 +17,16 @@ from dmotion_bench.reproduction.plan import Plan, Scoring, Training
 from dmotion_bench.reproduction.table import Column
 from dmotion_bench.scoring.earlier_planning import present_settings
 from dmotion_bench.scoring.report import SCORING_VERSION
-from dmotion_bench.scoring.score import is_scored
+from dmotion_bench.scoring.score import is_scored, scored_report
 from dmotion_bench.scoring.settings import OWN_SETTINGS
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.json_file import JsonUnreadable, read_json
 
 ENTRIES: Final = "entries"
 """The folder of a page in which its entries are."""
+
+INDEX: Final = "index.html"
+"""The page itself, which is written after its entries."""
 
 Identity = tuple[str, str, str]
 """Of what an entry is of: run, weights, fingerprint of the data set that it was scored on."""
@@ -70,6 +73,13 @@ class Page:
                 return one.path
         return None
 
+    def is_behind(self) -> bool:
+        """Whether there are entries, and no page that was written after them."""
+        index = self.folder / INDEX
+        written = index.stat().st_mtime_ns if index.is_file() else 0
+        entries = (one.path for standing in self._standing.values() for one in standing)
+        return any(path.stat().st_mtime_ns > written for path in entries)
+
     def beside(self, runs: Container[str], preset: Preset) -> list[Path]:
         """The files of entries of other runs, trained at this preset: what other parts of the table have made.
 
@@ -85,8 +95,13 @@ class Page:
         ]
 
 
+def is_of(entry: Path, runs: Iterable[Path]) -> bool:
+    """Whether an entry's file is of one of these runs, so that it is written anew."""
+    return read_json(entry).get("run") in {run.name for run in runs}
+
+
 def _has_figures(content: Mapping[str, Any], scoring: Scoring) -> bool:
-    metrics, settings = scoring.metrics(), content.get("settings")
+    metrics, settings, beside = scoring.metrics(), content.get("settings"), content.get("reference")
     if not isinstance(settings, dict) or not isinstance(settings.get("metrics"), list):
         return False  # somebody has changed it
     stored = present_settings(settings)
@@ -98,6 +113,7 @@ def _has_figures(content: Mapping[str, Any], scoring: Scoring) -> bool:
         version
         and all(metric in stored["metrics"] for metric in metrics)
         and all(stored.get(name) == wanted[name] for name in mine | shared)
+        and all(isinstance(beside, dict) and name in beside for name in scoring.references)
     )
 
 
@@ -160,7 +176,19 @@ def _trained(path: Path) -> Run | None:
 
 
 def _is_scored(path: Path, scoring: Scoring) -> bool:
+    return has_figures(path, scoring) and not _lacks_references(path, scoring)
+
+
+def has_figures(path: Path, scoring: Scoring) -> bool:
+    """Whether the report of a run has all figures of a column, whatever references stand beside them."""
     try:
         return all(is_scored(path, metric, scoring.settings, scoring.data) for metric in scoring.metrics())
     except DmbenchError:
         return False
+
+
+def _lacks_references(path: Path, scoring: Scoring) -> bool:
+    if not scoring.references:
+        return False
+    column = scoring.settings.control.column
+    return not {*scoring.references} <= {*scored_report(path, scoring.settings.split, scoring.data, column).reference}

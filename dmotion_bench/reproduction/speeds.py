@@ -24,8 +24,8 @@ from dmotion_bench.errors import DmbenchError
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.recording.speed import RecordedFrames
 from dmotion_bench.registry import model_class
-from dmotion_bench.reproduction.plan import Recording
-from dmotion_bench.scoring.control import ControlScoring, score_reference
+from dmotion_bench.reproduction.recording import Recording
+from dmotion_bench.scoring.control import ControlScoring, score_control
 from dmotion_bench.storage.dataset import Dataset
 
 _IMAGES: Final = 8
@@ -129,7 +129,7 @@ class Speeds:
             if not dataset.tasks():
                 raise DmbenchError(f"{_FEW_EPISODES} episodes of {recording.world.label} hold no control task.")
             began = time.process_time()
-            score_reference("oracle", dataset, scoring)
+            score_control("oracle", dataset, scoring)  # not kept: this data set is gone in a moment
             return _FEW_STEPS / (time.process_time() - began)
 
 

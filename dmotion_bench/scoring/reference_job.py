@@ -29,8 +29,8 @@ class ReferenceJob:
     progress: Path | None
 
 
-def score_reference_job(job: ReferenceJob) -> str | None:
-    """Do a job in the present process; why it failed, if it did."""
+def score_reference_job(job: ReferenceJob) -> tuple[Path, str | None]:
+    """Do a job in the present process; the data set's folder, and why it failed, if it did."""
     told = ProgressFile(job.progress)
 
     def show(progress: ControlProgress) -> None:
@@ -39,7 +39,7 @@ def score_reference_job(job: ReferenceJob) -> str | None:
     try:
         score_reference(job.name, Dataset.open(job.data), job.scoring, progress=show)
     except DmbenchError as error:
-        return str(error)
+        return job.data, str(error)
     finally:
         told.end()
-    return None
+    return job.data, None

@@ -27,6 +27,10 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "skip": (lambda: dm.record("gym:CartPole-v1", "tiny", frame_skip=0, out="new"), "frame_skip is 0; .* of 1 or"),
     "workers": (lambda: dm.record("grid_world", "tiny", workers=0, out="new"), "workers is 0; .* of 1 or more"),
     "threads": (lambda: dm.train("lapo", threads=0, out="new"), "threads is 0; .* from 1 to 1024"),
+    "loaders of decoded frames": (
+        lambda: dm.train("lapo", loaders=2, out="new"),
+        "'--loaders 2' is for a training that reads the compressed files; add '--stream'",
+    ),
     "loaders": (lambda: dm.train("lapo", loaders=0, out="new"), "loaders is 0; .* from 1 to 1024"),
     "true seed": (lambda: dm.train("lapo", seed=np.bool_(1), out="new"), r"seed is .*True.*; it must be a whole"),  # type: ignore[arg-type]
     "device": (lambda: dm.train("lapo", device=torch.device("meta"), out="new"), "no device named 'meta'"),
@@ -41,6 +45,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "demo's seed": (lambda: dm.demo("new", seed=True), "seed is True; it must be a whole"),
     "batch": (lambda: dm.score("tiny", batch_size=0), "batch_size is 0; .* of 1 or more"),
     "half a step": (lambda: dm.score("tiny", horizon=2.5), "horizon is 2.5; .* of 1 or more"),  # type: ignore[arg-type]
+    "planner scored": (lambda: dm.score("tiny", planner="icem"), "planner would change nothing without control"),
     "tasks scored": (lambda: dm.score("tiny", "control", tasks=0), "tasks is 0; .* of 1 or more"),
     "a text": (lambda: dm.open_dataset().video("0"), "episode is '0'; it must be a whole number"),  # type: ignore[arg-type]
     "none": (lambda: dm.open_dataset().labels(-1), "has no episode -1; it has 0 to 19"),

@@ -35,6 +35,17 @@ def test_what_was_imported_stands_wherever_a_data_set_may(files: list[Path]) -> 
     assert dm.import_recordings("a.mcap", size=16) == one
 
 
+def test_an_import_to_another_place_needs_no_place_here(
+    files: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recordings = [Path(one).absolute() for one in files]
+    monkeypatch.chdir("/proc")  # nothing can be written there
+    for place, how in enumerate(({"skip_damaged": True}, {"workers": 2})):
+        made = dm.import_recordings(recordings, size=16, out=tmp_path / "far" / str(place), **how)
+        assert made.episodes == len(recordings)
+    assert sorted(path.name for path in (tmp_path / "far").iterdir()) == ["0", "1"]
+
+
 @pytest.mark.parametrize(
     ("given", "error", "says"),
     [

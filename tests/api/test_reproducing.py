@@ -30,6 +30,7 @@ from dmotion_bench.recording import session
 from dmotion_bench.reproduction.settled import Page
 from dmotion_bench.reproduction.table import Table
 from dmotion_bench.scoring import side_by_side
+from dmotion_bench.scoring.score import score_run
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 
@@ -209,6 +210,42 @@ def test_each_column_of_control_keeps_its_page(tmp_path: Path, done: Counter[str
     again = dm.reproduce(CONTROL, workspace=tmp_path, workers=1)
     assert done == before
     assert not any(line.jobs for line in again.cost.lines)
+
+
+@pytest.mark.slow
+def test_what_lacks_its_reference_or_its_page_is_left(
+    tmp_path: Path, done: Counter[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = dataclasses.replace(CONTROL, columns=CONTROL.columns[:1])
+    kinds = ("train", "oracle", "score", "page")
+
+    def left() -> list[int]:
+        return [dm.reproduce(table, workspace=tmp_path, dry_run=True).cost.jobs(kind) for kind in kinds]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(reproducing, "score_reference_job", lambda job: (job.data, "no memory."))
+        made = dm.reproduce(table, workspace=tmp_path, workers=1)
+    assert made.failures == {"control by oracle for first": "no memory."}
+    assert (made.pages, done["score"]) == ((), 0)  # the model waits for its reference
+    assert left() == [0, 1, 2, 1]
+
+    (run,) = made.runs
+    (scoring,) = reproducing.plan_table(table, workspace=tmp_path).scorings
+    score_run(run, metrics=scoring.metrics(), settings=scoring.settings)
+    assert "oracle" not in json.loads((run / "report" / "report.json").read_bytes())["reference"]
+    assert left() == [0, 1, 2, 1]
+    (page,) = dm.reproduce(table, workspace=tmp_path, workers=1).pages
+    entries = [json.loads(path.read_bytes()) for path in (page.parent / "entries").glob("ed-cnn*.json")]
+    assert ["oracle" in one["reference"] for one in entries if one["kind"] == "measured"] == [True]
+    assert left() == [0, 0, 0, 0]
+
+    page.unlink()
+    assert left() == [0, 0, 0, 1]
+    assert dm.reproduce(table, workspace=tmp_path, workers=1).pages == (page,)
+    os.utime(page, ns=(0, 0))
+    assert left() == [0, 0, 0, 1]
+    dm.reproduce(table, workspace=tmp_path, workers=1)
+    assert left() == [0, 0, 0, 0]
 
 
 @pytest.mark.slow

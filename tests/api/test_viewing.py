@@ -22,8 +22,9 @@ def test_views_are_written_to_files(workspace: Path) -> None:
 
 
 def test_a_page_is_served_until_it_is_closed(workspace: Path) -> None:
-    page = dm.view("grid_world-tiny", web=True, episodes=[0])
+    page = dm.view("grid_world-tiny", web=True, episodes=[0], save="page.rrd")
     assert isinstance(page, dm.Served)
+    assert (workspace / "page.rrd").stat().st_size > 1000
     with page, urllib.request.urlopen(page.url, timeout=30) as answer:
         assert answer.status == 200
     with pytest.raises(OSError, match="refused"):
@@ -38,6 +39,7 @@ def test_a_page_is_served_until_it_is_closed(workspace: Path) -> None:
         ({"what": "tinny", "save": "x.rrd"}, UnknownName, "did you mean 'tiny'"),
         ({"what": [], "save": "x.rrd"}, UsageError, "nothing is named"),
         ({"what": "grid_world-tiny", "save": "x.gif"}, UsageError, "name runs"),
+        ({"what": "tiny", "save": "x.gif", "web": True}, UsageError, "without --live and --web"),
         ({"what": ["tiny", "grid_world-tiny"], "save": "x.rrd"}, UsageError, "only runs can be shown side by side"),
         ({"what": "tiny"}, ViewerError, "no display"),
     ],

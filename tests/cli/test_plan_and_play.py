@@ -153,6 +153,7 @@ def test_references_are_scored_by_name(
         (["plan", "idle", "--save", "plan.mp4"], 2, "must end in .rrd, for Rerun, or in .png, for a filmstrip"),
         (["plan", "idle", "--json", "--column", "generics"], 2, "did you mean 'generic'"),
         (["plan", "idle", "--json", "--column", "paper", "--planner", "cem"], 2, "'paper' says how to plan"),
+        (["plan", "idle", "--json", "--web"], 2, "--json shows nothing, and --web shows a page"),
         (["plan", "idle", "--json", "--task", "3"], 2, "no task named '3'; known: 0 to 2"),
         (["plan", "idle", "--json", "--planner", "exhausting"], 2, "did you mean 'exhaustive'"),
         (["plan", "idle", "--json", "--cost", "pixels"], 2, "did you mean 'pixel'"),

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import (
     SECONDS,
     JobProgress,
@@ -94,6 +95,15 @@ def test_what_a_killed_command_left_is_deleted_and_nothing_else(tmp_path: Path) 
     with jobs_folder(Workspace(tmp_path)) as own:
         assert sorted(tmp_path.iterdir()) == sorted([logs.parent, far, own])
     assert sorted(tmp_path.iterdir()) == sorted([logs.parent, far])
+
+
+def test_where_no_folder_can_be_made_the_variable_to_set_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir("/proc")  # where not even root can make one
+    with (
+        pytest.raises(UsageError, match=r"a folder of '/proc', .*; name another workspace with DMBENCH_WORKSPACE"),
+        jobs_folder(Workspace(Path())),
+    ):
+        pass
 
 
 def test_it_is_shown_while_the_jobs_run(tmp_path: Path) -> None:

@@ -90,6 +90,19 @@ def test_a_ray_that_runs_already_is_left_running(ray: PretendRay) -> None:
     assert ray.events == ["a job"]
 
 
+@pytest.mark.parametrize(("workers", "most"), [(1, 1), (3, 3), (None, 3)])
+def test_as_many_jobs_are_given_to_ray_as_were_asked_for(
+    ray: PretendRay, monkeypatch: pytest.MonkeyPatch, workers: int | None, most: int
+) -> None:
+    """A cluster has room for more; without a number one job waits beside those for which there are processors."""
+    given: list[int] = []
+    waited = ray.wait
+    monkeypatch.setattr(ray, "wait", lambda tasks, num_returns: given.append(len(tasks)) or waited(tasks, num_returns))
+    ray.running = True
+    assert len(list(RayExecutor(workers).map_unordered(abs, range(8)))) == 8
+    assert max(given) == most
+
+
 def cache_of_worker(_job: int) -> str | None:
     return os.environ.get("DMBENCH_CACHE")
 

@@ -8,13 +8,14 @@ from pathlib import Path
 
 import pytest
 import torch
-from small_tables import CONTROL, TABLE, Known
+from small_tables import CONTROL, FEW, TABLE, Known
 
 from dmotion_bench.errors import UsageError
 from dmotion_bench.reproduction.cost import cost_of
 from dmotion_bench.reproduction.plan import Plan
 from dmotion_bench.reproduction.settled import _has_figures
 from dmotion_bench.reproduction.speeds import Speeds
+from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.workspace import Workspace
 
 
@@ -85,3 +86,11 @@ def test_speeds_are_measured_once_or_read_from_a_file(tmp_path: Path, monkeypatc
         Speeds(device=torch.device("cpu"), stored=tmp_path / "bench.json")
     with pytest.raises(UsageError, match="make such a file with 'dmbench bench --json > FILE'"):
         Speeds(device=torch.device("cpu"), stored=tmp_path / "none.json")
+
+
+def test_timing_the_oracle_leaves_nothing_in_the_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DMBENCH_CACHE", str(tmp_path / "cache"))
+    (recording,) = Plan(CONTROL, "own", Workspace(tmp_path)).recordings
+    scoring = ControlScoring(objective="centres", planner_set=FEW)
+    assert Speeds(device=torch.device("cpu")).oracle_steps_per_s(recording, scoring) > 0
+    assert not list(tmp_path.rglob("*.json"))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import re
+import shutil
 import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -15,7 +16,9 @@ from small_tables import CONTROL, TABLE
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
 from dmotion_bench.cli import options
-from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
+from dmotion_bench.errors import InvalidSetting, RunMismatch, UnknownName, UsageError
+from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.start import default_path, resolve
 from dmotion_bench.planning.columns import (
     COLUMNS,
     HEADLINE,
@@ -26,6 +29,7 @@ from dmotion_bench.planning.columns import (
     words_of_test,
 )
 from dmotion_bench.recording.preset import recipe_for
+from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.reproduction.cost import control_places
 from dmotion_bench.reproduction.plan import Plan
 from dmotion_bench.reproduction.settled import state_of
@@ -221,3 +225,63 @@ def test_another_recording_can_hold_the_tasks(tmp_path: Path) -> None:
     plan = Plan(dataclasses.replace(CONTROL, worlds=(world,)), "own", Workspace(tmp_path))
     assert [one.folder.name for one in plan.recordings] == ["planar_push-tiny", "planar_push-test-tiny"]
     assert {one.data for one in plan.scorings} == {tmp_path / "data" / "planar_push-test-tiny"}
+
+
+RESULT = {
+    "weights": "0" * 64,
+    "steps": 1,
+    "triplets": 1,
+    "seconds": 1.0,
+    "triplets_per_s": 1.0,
+    "parameters": 1,
+    "validation_loss": 1.0,
+    "best_step": 1,
+    "labels_total": 1,
+    "labels": {},
+    "device": "cpu",
+    "processes": 1,
+}
+
+
+def _stand(plan: Plan, **other: object) -> list[Path]:
+    """Put runs into the folders of a table as if they were trained, with its settings or with others."""
+    paths = []
+    for training in plan.trainings:
+        dataset = training.recording.dataset()
+        assert dataset is not None
+        for row in training.rows:
+            asked = row.request(training.request)
+            spec = resolve(asked, dataset)
+            path = default_path(asked, spec, plan.workspace)
+            shutil.rmtree(path, ignore_errors=True)
+            path.mkdir(parents=True)
+            spec = dataclasses.replace(spec, **other)
+            Run.create_or_open(path, spec, dataset_path=dataset.where, versions={}).finish(RESULT)
+            paths.append(path)
+    return paths
+
+
+def test_runs_of_other_settings_or_data_are_told_before_anything_is_counted(tmp_path: Path) -> None:
+    def planned() -> Plan:
+        return reproducing.plan_table(TABLE, workspace=tmp_path, seeds=[0], models=["lapo"])
+
+    plan = planned()
+    (recording,) = plan.recordings
+    record_dataset(recording.folder, recording.recipe)
+    _stand(plan)
+    assert [one.left(plan.workspace) for one in planned().trainings] == [(0, 0.0)]
+    for other, says in (
+        ({"fingerprint": "0" * 64}, r"fingerprint is '0+' there and '[0-9a-f]+' here"),
+        ({"training": {"epochs": 9.0}}, r"training is \{epochs: 9\.0.*\} there and \{epochs: 1\.0.*\} here"),
+        ({"config": {"whirl": 2}}, "whirl"),
+    ):
+        first, *more = _stand(plan, **other)
+        with pytest.raises(RunMismatch, match=says) as raised:
+            planned()
+        said = str(raised.value)
+        assert f"{str(first)!r} holds another run than the table 'own' asks for" in said
+        assert f"So do 2 more: {', '.join(path.name for path in more)}." in said
+        assert "To train anew, delete or rename that folder, or name another workspace with DMBENCH_WORKSPACE" in said
+    _stand(plan)
+    (first / "run.json").write_text("{")
+    assert planned().trainings[0].left(plan.workspace) == (1, 0.0)  # its training says what is wrong

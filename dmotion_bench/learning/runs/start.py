@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
 from dmotion_bench.learning.data.curriculum import TrainingData, held_for_validation
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import LabelBudget
@@ -199,6 +199,20 @@ def open_run(request: TrainingRequest, dataset: Dataset, path: Path | None, work
     )
 
 
+def differences(request: TrainingRequest, dataset: Dataset, folder: Path) -> str:
+    """In what the run of a folder differs from a request that would stand there; empty if in nothing.
+
+    Raises:
+        RunError: The folder holds none that can be read.
+    """
+    run = Run.open(folder)
+    spec = _streamed_where_needed(request, resolve(request, dataset), dataset, folder)
+    try:
+        return "; ".join(run.differences(spec, request.threads))
+    except InvalidSetting as error:  # of an earlier or a later version
+        return str(error).rstrip(".")
+
+
 def _streaming(request: TrainingRequest, training: TrainingConfig) -> TrainingConfig:
     """The training's settings with what ``--stream`` says.
 
@@ -244,12 +258,17 @@ def training_data(run: Run, dataset: Dataset, loaders: int | None = None) -> Tra
         loaders: Threads that read, where the frames are streamed; None for the usual number.
 
     Raises:
-        UsageError: There are too few episodes to train and validate.
+        UsageError: There are too few episodes to train and validate, or ``loaders`` are given and nothing is streamed.
     """
     protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" else "episode"
     train: TripletSet | StreamedTriplets
     validation: TripletSet | StreamedTriplets
-    if window := run.spec.training_config.window:
+    window = run.spec.training_config.window
+    if loaders is not None and not window:
+        raise UsageError(
+            f"'--loaders {loaders}' is for a training that reads the compressed files; add '--stream', or leave it out."
+        )
+    if window:
         train, validation = (
             StreamedTriplets.of_split(dataset, name, window=window, loaders=loaders or LOADERS)
             for name in ("train", "validation")

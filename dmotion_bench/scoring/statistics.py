@@ -41,10 +41,10 @@ class Estimate:
 
     Attributes:
         mean: Over all samples.
-        std: Over samples, the population's.
+        std: Over samples, the population's; of several trainings over episodes, of a correlation over the draws.
         low, high: Bounds of the 95% interval over episodes; None where fewer than ``FEWEST_EPISODES`` episodes have a
             sample.
-        n: Number of samples.
+        n: Number of samples; of a gain captured by several trainings what could be gained, which counts nothing.
         episodes: Number of episodes that have a sample; None where that is not known.
     """
 

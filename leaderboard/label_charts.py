@@ -9,7 +9,7 @@ own: the data set of the tasks is not that of the training.
 from __future__ import annotations
 
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -107,12 +107,13 @@ def _control(board: Board) -> tuple[Board, Drawn] | None:
     return None
 
 
-def label_notes(board: Board, others: Iterable[Board] = ()) -> str:
+def label_notes(board: Board, boards: Sequence[Board] = ()) -> str:
     """Which models of a board have no curve over labels, and which figures none is drawn of; empty without curves.
 
     Args:
         board: The board.
-        others: Of the same page; control is scored on tasks of another data set than that of the training.
+        boards: Of the page, itself among them, since control is scored on tasks of another data set than that of the
+            training; itself alone by default.
     """
     groups = (name for drawn in DRAWN for name in _groups(board, drawn.figure, FEWEST_BUDGETS))
     having = {model for kind, model, _ in groups if kind == "measured"}
@@ -130,7 +131,7 @@ def label_notes(board: Board, others: Iterable[Board] = ()) -> str:
         told.append(
             "What probes read of a model of video does not depend on its labels, which only name its latent actions."
         )
-    scored_on = [one.dataset for one in (board, *others) if _has_control_of(board, one)]
+    scored_on = [one.dataset for one in boards or [board] if _has_control_of(board, one)]
     if not scored_on:
         told.append("Control is not measured over labels, since every budget would cost planning of its own.")
     elif board.dataset not in scored_on:

@@ -320,8 +320,9 @@ def _require_fields(report: Fields) -> None:
         figures = holder.inner(of_whom)
         for name in holder.pairs(of_whom):
             figure = figures.inner(name)
-            for count in ("n", *({"episodes"} & set(figures.pairs(name)))):
-                figure.whole_or_none(count)
+            figure.whole_or_none("n")
+            if "episodes" in figures.pairs(name):
+                figure.whole_or_none("episodes")
             for part in ("mean", "std", "low", "high"):
                 figure.real_or_none(part)
 

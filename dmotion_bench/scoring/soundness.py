@@ -39,8 +39,8 @@ def unsound_prediction(model: ForwardModel[Any], dataset: ReadableDataset) -> st
 
     Args:
         model: As it was trained; it is left in evaluation mode.
-        dataset: With labels. The first frames of its first episode that has two pairs of frames are tried, with the
-            actions that were taken.
+        dataset: With labels. The first frames of its first episode that has a triplet are tried, with the actions that
+            were taken.
     """
     if dataset.spec.actions is None or not model.needs_pixels:
         return None

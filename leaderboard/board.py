@@ -102,11 +102,21 @@ class Board:
         return beside_curves(self.rows, RANKED_BY)
 
     @cached_property
+    def by_column(self) -> dict[str, Board]:
+        """By the name of each frozen planner that planned for models: the same data set with its rows alone."""
+        if self.control is None:
+            return {}
+        planned = {name: rows_of_column(self.control, name) for name in self.control.columns}
+        return {
+            name: replace(self, rows=tuple(rows), control=None, agreement=())
+            for name, rows in planned.items()
+            if any(row.kind == "measured" for row in rows)
+        }
+
+    @property
     def by_headline(self) -> Board | None:
-        """The same data set with the rows of the headline's column alone; None where no model has any."""
-        rows = [] if self.control is None else rows_of_column(self.control, HEADLINE.name)
-        able = any(row.kind == "measured" for row in rows)
-        return replace(self, rows=tuple(rows), control=None, agreement=()) if able else None
+        """That of the headline's column; None where no model has any."""
+        return self.by_column.get(HEADLINE.name)
 
     def reference(self, name: str) -> Mapping[str, Value]:
         """The figures of a reference, by its name in reports; none where it was not scored."""
@@ -126,7 +136,7 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
     """
     groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
     published: dict[str, list[Entry]] = defaultdict(list)
-    for entry in entries:
+    for entry in sorted(entries, key=lambda one: one.slug):  # whichever comes first, the same rows
         if entry.is_measured:
             groups[_board_key(entry)].append(entry)
         else:

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 from typing import Final
 
-from dmotion_bench.planning.columns import HEADLINE
+from dmotion_bench.planning.columns import COLUMNS
 from leaderboard.board import OTHER_PLANNER, Board
 from leaderboard.board_tables import tuned_words
 from leaderboard.chart import COLORS, MARKERS, Axis, Guide, Point, Series, Style, key, line_chart
@@ -54,8 +54,8 @@ def _drawn(board: Board) -> list[tuple[str, str]]:
 
 
 def _sides(board: Board) -> list[Board]:
-    """A board and, where it has control by the headline's frozen planner, the rows of that as another."""
-    return [board] if board.by_headline is None else [board, board.by_headline]
+    """A board and, of each frozen planner that planned there, the rows of that as another."""
+    return [board, *board.by_column.values()]
 
 
 def legend(board: Board, styles: Styles) -> Markup:
@@ -69,7 +69,7 @@ def legend(board: Board, styles: Styles) -> Markup:
         ring = element("span", key(Style(-1), ringed=True), "ringed: demonstrations of each action", class_="kind")
         items.append(element("li", ring))
     kinds = []
-    if any(_dash(row) == "dashed" for one in _sides(board) for row in one.rows_beside_curves):
+    if any(_dash(row) == "dashed" for one in _sides(board) for row in one.rows_beside_curves if row.model):
         elsewhere = ", or trained on another data set" if any(row.elsewhere for row in board.rows) else ""
         kinds.append(f"dashed: a share of the labels, or more demonstrations than one{elsewhere}")
     if any(row.kind == "published" for row in board.rows):
@@ -98,7 +98,10 @@ def charts(board: Board, styles: Styles) -> Markup | None:
             log=True,
         ),
         _control(board, styles, f"Control: {where}"),
-        _control(board.by_headline, styles, f"Control by the frozen planner {HEADLINE.title}: {where}"),
+        *(
+            _control(planned, styles, f"Control by the frozen planner {COLUMNS[name].title}: {where}")
+            for name, planned in board.by_column.items()
+        ),
     ]
     return element("div", *drawn, class_="charts") if any(drawn) else None
 
@@ -210,10 +213,8 @@ def _steps(row: Row, base: str) -> list[Point]:
     return start + [point_of(float(step), row, name) for step, name in sorted(places)]
 
 
-def _control(board: Board | None, styles: Styles, title: str) -> Markup | None:
+def _control(board: Board, styles: Styles, title: str) -> Markup | None:
     """The distance that is left over the steps of control."""
-    if board is None:
-        return None
     return _ahead(board, styles, "control_distance", DISTANCE_LEFT, "control step", title, every=10)
 
 

@@ -90,7 +90,7 @@ def usual_facts(known: Sequence[Facts]) -> Facts:
     """What more than half of some entries have alike; nothing of a single entry."""
     usual: dict[str, dict[str, str]] = {}
     for about in dict.fromkeys(about for facts in known for about in facts):
-        for name in dict.fromkeys(name for facts in known for name in facts.get(about, {})):
+        for name in sorted({name for facts in known for name in facts.get(about, {})}):
             values = Counter(facts[about][name] for facts in known if name in facts.get(about, {}))
             ((value, having),) = values.most_common(1)
             if len(known) > 1 and 2 * having > len(known):

@@ -117,7 +117,9 @@ def summary_shows(summary: Summary) -> str:
 def _trainings(summary: Summary) -> str:
     """How many trainings the models have in each world."""
     known = sorted({one.trainings for one in summary.standings})
-    return f"{known[0]} to {known[-1]} trainings of each in a world" if known[-1] > 1 else "one training in each world"
+    if known[-1] == 1:
+        return "one training in each world"
+    return f"{TO.join(dict.fromkeys(map(str, (known[0], known[-1]))))} trainings of each in a world"
 
 
 def _explained(summary: Summary) -> list[str]:
@@ -168,9 +170,9 @@ def _between(one: Standing) -> str:
 
 
 def _counts(one: Standing) -> str:
-    """The labels that were handed out in the worlds."""
-    counts = dict.fromkeys("?" if row.label_count is None else f"{row.label_count:,}" for row in one.rows)
-    return " or ".join(counts)
+    """The labels that were handed out in the worlds, the fewest and the most."""
+    known = [row.label_count for row in one.rows if row.label_count is not None]
+    return TO.join(dict.fromkeys(f"{count:,}" for count in (min(known), max(known)))) if known else "?"
 
 
 def shows(board: Board) -> str:

@@ -292,13 +292,14 @@ def test_the_page_and_the_tables_show_it(board: Board) -> None:
         f"Generic: the table shows a true difference of {rounded(board.control.detectable['generic'])} between" in lines
     )
     assert "in 80% of cases, a smaller one less often" in page
-    assert page.count(">true simulator as the model<") == 1
+    table, _, _ = page.partition('<div class="charts">')
+    assert table.count(">true simulator as the model<") == 1
     (row,) = (line for line in lines.splitlines() if line.startswith("| dmotion |"))
     assert row.startswith("| dmotion | 4 (1 each) | 3 / 1 | 25 |")
     assert "tasks, 3 trainings" in page
     assert "tasks, one training" in page
     said = r"(?!(?:<small></small>)?</td>)"
-    sortable = re.findall(rf'<(?:td|th scope="row")( data-value="[^"]+")?>{said}', page.partition("<tbody>")[2])
+    sortable = re.findall(rf'<(?:td|th scope="row")( data-value="[^"]+")?>{said}', table.partition("<tbody>")[2])
     assert len(sortable) >= 5 * 2  # cells that say something, of two models, the oracle and idle
     assert all(sortable)
 

@@ -10,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from dmotion_bench.planning.columns import HEADLINE
+from dmotion_bench.planning.columns import COLUMNS, HEADLINE
 from leaderboard.board import Board, make_boards
 from leaderboard.columns import number
 from leaderboard.entry import Entry
@@ -46,9 +46,9 @@ def entries(of_headline: MakeEntry, controlled: MakeEntry) -> list[Entry]:
     ]
 
 
-def _chart(page: str) -> tuple[ElementTree.Element, list[list[str]]]:
+def _chart(page: str, title: str = TITLE) -> tuple[ElementTree.Element, list[list[str]]]:
     """The chart of a page, and the cells of its numbers."""
-    found = re.search(rf"<figure><figcaption><b>{re.escape(TITLE)}</b>.*?(<svg.*?</svg>).*?</figure>", page, re.DOTALL)
+    found = re.search(rf"<figure><figcaption><b>{re.escape(title)}</b>.*?(<svg.*?</svg>).*?</figure>", page, re.DOTALL)
     assert found is not None
     rows = [re.findall(r"<t[hd][^>]*>([^<]*)", row) for row in re.findall(r"<tr>.*?</tr>", found[0], re.DOTALL)]
     return ElementTree.fromstring(found[1]), rows
@@ -91,10 +91,26 @@ def test_its_models_are_in_the_legend_with_the_colours_that_they_have_on_other_b
     assert len({index for index, name in buttons if name == "dmotion"}) == 1
 
 
-def test_where_another_column_planned_alone_nothing_is_drawn(controlled: MakeEntry) -> None:
+def test_each_frozen_planner_that_planned_for_a_model_has_a_chart(entries: list[Entry], controlled: MakeEntry) -> None:
+    other = TITLE.replace(HEADLINE.title, COLUMNS["generic"].title)
+    page = make_page([*entries, controlled("jepa", LEFT, column="generic")])
+    _, (_, *numbers) = _chart(page, other)
+
+    assert {row[0] for row in numbers} == {"jepa", "lapo", "idle", "true simulator as the model"}
+    assert page.count("<b>Control by the frozen planner") == 2
+    assert {"jepa", "lapo"} <= set(re.findall(r'<button[^>]*data-model="\d+"[^>]*>.*?</svg>([^<]*)<', page, re.DOTALL))
+
+
+def test_the_legend_tells_of_dashed_lines_where_there_are_some(entries: list[Entry], of_headline: MakeEntry) -> None:
+    assert "Dashed: a share" not in make_page(entries)
+    assert "Dashed: a share" in make_page([*entries, of_headline("ed-cnn", 0.8, LEFT + 0.4, labels="50%")])
+
+
+def test_where_another_column_planned_alone_only_that_is_drawn(controlled: MakeEntry) -> None:
     entries = [controlled("dmotion", LEFT, column="generic")]
     assert make_boards(entries)[0].by_headline is None
     assert TITLE not in make_page(entries)
+    assert TITLE.replace(HEADLINE.title, COLUMNS["generic"].title) in make_page(entries)
 
 
 def _named(boards: list[Board]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import copy
 import hashlib
+import itertools
 import re
 from collections import Counter
 from collections.abc import Callable
@@ -219,7 +220,9 @@ def test_of_each_entry_the_page_says_what_is_not_as_usual(sound: Entry, changed:
     page = make_page([*alike, other])
     _, usual, *folded = page.split('<details class="provenance"')
 
-    assert "horizon 3, precision float32, resamples 200" in usual
+    (settings,) = re.findall(r"<dt>settings</dt><dd>(.*?)</dd>", usual)
+    assert settings.split(", ") == sorted(settings.split(", "))
+    assert {"horizon 3", "precision float32", "resamples 200"} <= set(settings.split(", "))
     assert len(folded) == 3
     for entry, own in zip([*alike, other], sorted(folded, key=lambda text: "another" in text), strict=True):
         assert entry.content["weights"] in own
@@ -229,6 +232,16 @@ def test_of_each_entry_the_page_says_what_is_not_as_usual(sound: Entry, changed:
         assert ("<dt>without</dt><dd>resamples</dd>" in own) == (entry is other)
     assert "None" not in "".join(re.findall(r"<dd>.*?</dd>", page))
     assert "control objective" not in page
+
+
+def test_the_page_does_not_depend_on_the_order_of_the_entries(sound: Entry, changed: Changed) -> None:
+    """All have one name and seed, and two settings are as frequent."""
+    entries = [
+        changed(run="twice-s0", weights=hashed * 64, settings=sound.content["settings"] | {"horizon": horizon})
+        for hashed, horizon in (("1", 3), ("2", 3), ("3", 99), ("4", 99))
+    ]
+    pages = {make_page(list(order)) for order in itertools.permutations(entries)}
+    assert len(pages) == 1
 
 
 def test_what_most_entries_were_trained_on_is_not_said_of_another_one(sound: Entry, changed: Changed) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,8 +17,19 @@ def figure(mean: float) -> dict[str, float | int | None]:
     return {"mean": mean, "std": 2.0, "low": mean - 1, "high": mean + 1, "n": 6}
 
 
-def write_made_up(run: Run, mse: Mapping[int, Sequence[float]], column: str = "mse") -> Path:
-    """A report of these errors by episode; rows of rollouts and references must not count."""
+def write_made_up(
+    run: Run,
+    mse: Mapping[int, Sequence[float]],
+    column: str = "mse",
+    *,
+    planned: Mapping[str, Mapping[str, Any]] | None = None,
+) -> Path:
+    """A report of these errors by episode; rows of rollouts and references must not count.
+
+    Args:
+        run, mse, column: Whose errors, and what they are called.
+        planned: Figures of planning of the model and of references.
+    """
     rows = SampleRows("prediction", "model")
     for episode, values in mse.items():
         count = np.arange(len(values))
@@ -48,8 +60,11 @@ def write_made_up(run: Run, mse: Mapping[int, Sequence[float]], column: str = "m
         settings={"split": "test", "protocol": "episode", "horizon": 3, "metrics": ["prediction", "rollout"]},
         training={"epochs": 1},
         versions={},
-        figures=figures,
-        reference={"copy_last": {"mse": figure(99.0)}},
+        figures=figures | (planned or {}).get("dmotion", {}),
+        reference={
+            "copy_last": {"mse": figure(99.0)},
+            **{name: one for name, one in (planned or {}).items() if name != "dmotion"},
+        },
     )
     folder = run.path / REPORT_FOLDER
     write_report(folder, report, rows.table())

@@ -1,4 +1,4 @@
-"""A chart with a logarithmic axis, drawn with lines in a picture view.
+"""A chart drawn with lines in a picture view.
 
 Rerun's plots follow the timeline that is being played; this one is seen whatever that is, and Rerun 0.41 has no
 logarithmic axis.
@@ -39,28 +39,32 @@ def log_chart(
     colors: Mapping[str, Color],
     widths: Mapping[str, float],
     across_name: str,
+    *,
+    logarithmic: bool = True,
 ) -> None:
-    """Draw curves by their names; values that are not above zero have no place on the axis and are left out."""
-    shown = {
-        name: Curve(curve.step[curve.value > 0], curve.value[curve.value > 0])
-        for name, curve in curves.items()
-        if (curve.value > 0).any()
-    }
+    """Draw curves by their names.
+
+    Args:
+        recording, path: Where to.
+        curves: What; on a logarithmic axis values that are not above zero have no place and are left out.
+        colors, widths: Of each curve.
+        across_name: What the steps are.
+        logarithmic: Whether the values' axis is; else it begins at zero, or at the lowest value below.
+    """
+    shown = _known(curves, logarithmic=logarithmic)
     if not shown:
         return
     last = max(int(curve.step.max()) for curve in shown.values())
-    low = math.log10(min(float(curve.value.min()) for curve in shown.values()))
-    high = math.log10(max(float(curve.value.max()) for curve in shown.values()))
-    low, high = (low - 0.05, high + 0.05) if high - low < 0.1 else (low, high)
+    low, high = _range(shown, logarithmic=logarithmic)
 
     def across(step: Real[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return MARGIN_LEFT + (WIDTH - MARGIN_LEFT - MARGIN_RIGHT) * step / max(last, 1)
 
     def down(value: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        share: Float[np.ndarray, " n"] = (np.log10(value) - low) / (high - low)
+        share: Float[np.ndarray, " n"] = ((np.log10(value) if logarithmic else value) - low) / (high - low)
         return HEIGHT - MARGIN_BOTTOM - (HEIGHT - MARGIN_TOP - MARGIN_BOTTOM) * share
 
-    steps, values = _round_steps(last), _round_values(low, high)
+    steps, values = _round_steps(last), _round_values(low, high) if logarithmic else _even_values(low, high)
     right, bottom = WIDTH - MARGIN_RIGHT, HEIGHT - MARGIN_BOTTOM
     grid = [[(x, MARGIN_TOP), (x, bottom)] for x in across(steps)]
     grid += [[(MARGIN_LEFT, y), (right, y)] for y in down(values)]
@@ -80,6 +84,27 @@ def log_chart(
         _write(recording, f"{entity}/name", [(right + MARGIN_RIGHT / 2, height - 12)], [text], colors[name])
 
 
+def _known(curves: Mapping[str, Curve], *, logarithmic: bool) -> dict[str, Curve]:
+    """The curves' values that have a place on the axis; no curve without any."""
+    known = {}
+    for name, curve in curves.items():
+        here = curve.value > 0 if logarithmic else np.isfinite(curve.value)
+        if here.any():
+            known[name] = Curve(curve.step[here], curve.value[here])
+    return known
+
+
+def _range(curves: Mapping[str, Curve], *, logarithmic: bool) -> tuple[float, float]:
+    """The lowest and the highest place on the axis, as powers of ten on a logarithmic one; never the same."""
+    low = min(float(curve.value.min()) for curve in curves.values())
+    high = max(float(curve.value.max()) for curve in curves.values())
+    if not logarithmic:
+        low = min(low, 0.0)
+        return low, high if high > low else low + 1.0
+    low, high = math.log10(low), math.log10(high)
+    return (low - 0.05, high + 0.05) if high - low < 0.1 else (low, high)
+
+
 def _write(
     recording: rr.RecordingStream, path: str, places: list[tuple[float, float]], words: list[str], color: Color
 ) -> None:
@@ -89,10 +114,20 @@ def _write(
 
 def _round_steps(last: int) -> Float[np.ndarray, " n"]:
     """About five round numbers from zero to the last step."""
-    rough = max(last, 1) / 5
-    unit = 10 ** math.floor(math.log10(rough))
-    width = next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough)
-    return np.arange(0, last + 1, max(1, round(width))).astype(float)
+    return np.arange(0, last + 1, max(1, round(_round_width(max(last, 1) / 5)))).astype(float)
+
+
+def _even_values(low: float, high: float) -> Float[np.ndarray, " n"]:
+    """About four round numbers, evenly apart."""
+    width = _round_width((high - low) / 4)
+    values: Float[np.ndarray, " n"] = np.arange(math.ceil(low / width), math.floor(high / width) + 1) * width
+    return values
+
+
+def _round_width(rough: float) -> float:
+    """The next of 1, 2, 5 and their multiples by powers of ten."""
+    unit = 10.0 ** math.floor(math.log10(rough))
+    return next(unit * factor for factor in (1, 2, 5, 10) if unit * factor >= rough)
 
 
 def _round_values(low: float, high: float) -> Float[np.ndarray, " n"]:

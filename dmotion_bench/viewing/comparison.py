@@ -21,7 +21,7 @@ from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
 from dmotion_bench.viewing.dataset import labels_if_any, part_of
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import ACTION_COLORS, log_events, log_legend, what_happens
-from dmotion_bench.viewing.report import episode_means, figure_text, interval_text, rollout_curves
+from dmotion_bench.viewing.report import curves_of, episode_means, figure_text, interval_text
 from dmotion_bench.viewing.run import AMPLIFIED, COPIED, log_prediction
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import Color, log_curve, log_images, log_mark, log_rings
@@ -36,7 +36,15 @@ WIDE = 3
 COLORS: tuple[Color, ...] = (*ACTION_COLORS, (0, 114, 178), (200, 200, 200), (150, 110, 60), (170, 220, 120))
 WORST: Color = (255, 70, 70)
 ROOT = "/comparison"
-COLUMNS = ("mse", "mse_push", "position_error", "miss_rate", "rollout_mse[15]", "control_distance[100]")
+COLUMNS = (
+    "mse",
+    "mse_push",
+    "position_error",
+    "miss_rate",
+    "rollout_mse[15]",
+    "planning_gain",
+    "control_distance[100]",
+)
 ROWS = (
     ("one_step", "frame", "{}: one step"),
     ("one_step", "difference", f"error x{AMPLIFIED}: {{}}"),
@@ -269,7 +277,7 @@ def _figures(reports: Mapping[str, tuple[Path, Report]], names: Mapping[str, Run
     curves, colors = {}, {}
     for number, name in enumerate(names):
         if name in reports:
-            found = rollout_curves(reports[name][1])
+            found = curves_of(reports[name][1], "rollout_mse")
             for key, shown, color in (
                 (reports[name][1].model, name, COLORS[number]),
                 ("copy last", "copy last", COPIED),

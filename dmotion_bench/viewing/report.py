@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ from dmotion_bench.viewing.tracks import Color
 from dmotion_bench.wording import rounded
 
 ROOT = "/report"
-COLORS: tuple[Color, ...] = ((230, 159, 0), (140, 140, 140), (86, 180, 233))
-SHOWN = (
+COLORS: tuple[Color, ...] = ((230, 159, 0), (140, 140, 140), (86, 180, 233), (0, 158, 115), (204, 121, 167))
+PREDICTED = (
     "mse",
     "mse_true_motion",
     "psnr",
@@ -39,9 +40,12 @@ SHOWN = (
     "agent_iou",
     "motion_shift_error",
     "motion_within_over_between",
-    "control_success",
 )
-AHEAD = re.compile(r"rollout_mse\[(\d{1,4})\]")
+PLANNED = ("planning_gain", "control_distance", "control_picture_distance", "control_success", "control_lost")
+"""The figures of the report's two tables; of a distance, that after the last step."""
+BESIDE_PREDICTED, BESIDE_PLANNED = ("paper", "copy_last"), ("oracle", "scripted", "random", "idle")
+"""The references that stand beside them."""
+AHEAD = re.compile(r"(\w+)\[(\d{1,4})\]")
 
 
 def telling_episodes(run: Path, folder: Path | None = None) -> dict[int, str]:
@@ -97,36 +101,69 @@ def report_tab(run: Path, folder: Path | None = None) -> Tab | None:
     report = read_report(folder or run / REPORT_FOLDER)
     if report is None:
         return None
-    curves = rollout_curves(report)
-    layout = rrb.Horizontal(
-        rrb.TextDocumentView(origin=f"{ROOT}/figures", name="Figures"),
-        picture_view(f"{ROOT}/rollout", "MSE of an imagined frame (logarithmic)", round(WIDTH), round(HEIGHT)),
-        column_shares=[1, 1.4],
-        name="Report",
-    )
+    charts = [chart for chart in _CHARTS if curves_of(report, chart.figure)]
+    parts: list[rrb.View | rrb.Container] = [rrb.TextDocumentView(origin=f"{ROOT}/figures", name="Figures")]
+    if charts:
+        views = (picture_view(one.path, one.title, round(WIDTH), round(HEIGHT)) for one in charts)
+        parts.append(rrb.Vertical(*views))
+    layout = rrb.Horizontal(*parts, column_shares=[1, 1.4][: len(parts)], name="Report")
 
     def log(recording: rr.RecordingStream) -> None:
         text = rr.TextDocument(_figures(report), media_type="text/markdown")
         recording.log(f"{ROOT}/figures", text, static=True)
-        colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(curves)}
-        log_chart(recording, f"{ROOT}/rollout", curves, colors, dict.fromkeys(curves, 1.5), "steps imagined")
+        for one in charts:
+            curves = curves_of(report, one.figure)
+            colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(curves)}
+            widths = dict.fromkeys(curves, 1.5)
+            log_chart(recording, one.path, curves, colors, widths, one.along, logarithmic=one.logarithmic)
 
     return Tab(name="Report", layout=layout, log=log)
 
 
-def rollout_curves(report: Report) -> dict[str, Curve]:
-    """MSE over the steps of a rollout, of the run and of what knows nothing of learning."""
+@dataclass(frozen=True)
+class _Chart:
+    """A figure over steps.
+
+    Attributes:
+        figure: Its name, without the step.
+        title, along: What the chart and its steps are called.
+        logarithmic: Whether the figure's axis is.
+    """
+
+    figure: str
+    title: str
+    along: str
+    logarithmic: bool = False
+
+    @property
+    def path(self) -> str:
+        return f"{ROOT}/{self.figure}"
+
+
+_CHARTS = (
+    _Chart("rollout_mse", "MSE of an imagined frame (logarithmic)", "steps imagined", logarithmic=True),
+    _Chart("control_distance", "Control: distance to the goal / at the start", "control step"),
+    _Chart("control_picture_distance", "Control: difference from the goal image / at the start", "control step"),
+)
+
+
+def curves_of(report: Report, base: str) -> dict[str, Curve]:
+    """A figure over its steps, of the run and of what knows nothing of learning; of control, also at the start."""
     of_all: dict[str, Mapping[str, FigureJson]] = {report.model: report.figures}
     of_all |= {plain(name): figures for name, figures in report.reference.items()}
     curves: dict[str, Curve] = {}
     for name, figures in of_all.items():
-        points = sorted(
-            (int(found[1]), figure["mean"]) for key, figure in figures.items() if (found := AHEAD.fullmatch(key))
-        )
-        known = [(ahead, float(mean)) for ahead, mean in points if mean is not None]
+        known = {step: float(mean) for step, key in _steps(figures, base) if (mean := figures[key]["mean"]) is not None}
         if known:
-            curves[name] = Curve(np.array([ahead for ahead, _ in known]), np.array([mean for _, mean in known]))
+            known = ({0: 1.0} if base.startswith("control_") else {}) | known
+            curves[name] = Curve(np.array([*known]), np.array([*known.values()]))
     return curves
+
+
+def _steps(figures: Mapping[str, FigureJson], base: str) -> list[tuple[int, str]]:
+    """The steps of a figure with their names in a report, the first step first."""
+    found = ((AHEAD.fullmatch(key), key) for key in figures)
+    return sorted((int(match[2]), key) for match, key in found if match is not None and match[1] == base)
 
 
 def _use(report: Report) -> str:
@@ -135,26 +172,43 @@ def _use(report: Report) -> str:
 
 def _figures(report: Report) -> str:
     own = "" if report.trained_on is None else f", trained on *{report.trained_on}*"
-    beside = [name for name in ("paper", "copy_last") if name in report.reference]
     lines = [
         f"**{report.run}**",
         "",
         f"*{report.dataset['name']}*{own}, {report.settings['split']} episodes, labels used: "
         f"**{report.labels['asked']} ({report.labels['total']}{_use(report)})**, protocol {report.protocol}.",
-        "",
-        f"| | mean ± std | 95% interval | {' | '.join(map(plain, beside))} |",
-        "|---|---|---|" + "---|" * len(beside),
     ]
-    for name in SHOWN:
-        if name in report.figures:
-            figure = report.figures[name]
-            others = " | ".join(figure_text(report.reference[other].get(name)) for other in beside)
-            spread = f"{figure_text(figure)} ± {rounded(figure['std'])}"
-            lines.append(f"| {figure_words(name)} | {spread} | {interval_text(figure)} | {others} |")
-    if (why := why_no_interval(report.figures[name] for name in SHOWN if name in report.figures)) is not None:
-        lines += ["", f"95% interval: {why}."]
-    lines += ["", "On the other tabs: the worst, the middle and the best episode by the MSE of single steps."]
+    if (column := report.settings.get("control_column")) is not None:
+        lines += ["", f"Control by the frozen planner **{column}**."]
+    for names, others in ((PREDICTED, BESIDE_PREDICTED), (PLANNED, BESIDE_PLANNED)):
+        lines += _table(report, names, others)
+    if PREDICTED[0] in report.figures or PREDICTED[1] in report.figures:
+        lines += ["", "On the other tabs: the worst, the middle and the best episode by the MSE of single steps."]
     return "\n".join(lines)
+
+
+def _table(report: Report, names: Sequence[str], others: Sequence[str]) -> list[str]:
+    """A table of some figures with their intervals, beside the references that have any of them; none without."""
+    shown = [key for name in names for key in _keys(report.figures, name)]
+    if not shown:
+        return []
+    beside = [one for one in others if any(key in report.reference.get(one, {}) for key in shown)]
+    rows = [["", "mean ± std", "95% interval", *map(plain, beside)], ["---"] * (3 + len(beside))]
+    for key in shown:
+        figure = report.figures[key]
+        spread = f"{figure_text(figure)} ± {rounded(figure['std'])}"
+        compared = [figure_text(report.reference[one].get(key)) for one in beside]
+        rows.append([figure_words(key), spread, interval_text(figure), *compared])
+    lines = ["", *(f"| {' | '.join(row)} |" for row in rows)]
+    why = why_no_interval(report.figures[key] for key in shown)
+    return lines if why is None else [*lines, "", f"95% interval: {why}."]
+
+
+def _keys(figures: Mapping[str, FigureJson], name: str) -> list[str]:
+    """A figure's name in a report, with its last step if it has steps; none if it is not there."""
+    if name in figures:
+        return [name]
+    return [key for _, key in _steps(figures, name)[-1:]]
 
 
 def figure_text(figure: FigureJson | None) -> str:

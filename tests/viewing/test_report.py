@@ -5,9 +5,10 @@ from __future__ import annotations
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from made_up_report import write_made_up
+from made_up_report import figure, write_made_up
 from rrd_contents import static, tabs_of
 
 from dmotion_bench.api.viewing import scene_of_targets
@@ -97,6 +98,45 @@ def test_the_report_has_a_page_of_its_own(scored: Path, run: Run, dataset: Datas
     assert tabs_of(rrd) == ["Episode 4 (worst, MSE 50)", "Report", "Training"]
     (text,) = static(rrd, "/report/figures", "TextDocument:text")
     assert "| MSE | 24.0 ± 2.00 | 23.0 to 25.0 | 99.0 |" in text
-    (line,) = static(rrd, "/report/rollout/dmotion", "LineStrips2D:strips")
+    (line,) = static(rrd, "/report/rollout_mse/dmotion", "LineStrips2D:strips")
     heights = [height for _, height in line]
     assert heights[0] - heights[1] == pytest.approx(heights[1] - heights[2])  # ten times each, logarithmic
+
+
+def test_gain_and_control_have_a_table_of_their_own_and_control_a_chart_from_the_start_on(
+    run: Run, dataset: Dataset, rrd: Path
+) -> None:
+    def distances(*left: float) -> dict[str, Any]:
+        return {f"control_distance[{step}]": figure(one) for step, one in enumerate(left, start=1)}
+
+    own = distances(0.75, 0.5) | {"control_success": figure(0.25), "planning_gain": figure(0.7)}
+    planned = {"dmotion": own, "idle": distances(1.0, 1.0), "oracle": {"planning_gain": figure(0.9)}}
+    folder = write_made_up(run, MSE, planned=planned)
+    try:
+        write_scene(run_scene(run, dataset, [4]), rrd)
+    finally:
+        shutil.rmtree(folder)
+    (text,) = static(rrd, "/report/figures", "TextDocument:text")
+    first, second = (part.splitlines() for part in text.split("\n\n") if part.startswith("|"))
+
+    assert [row.count("|") for row in first] == [5] * 3
+    assert second[0] == "|  | mean ± std | 95% interval | oracle | idle |"
+    assert second[1] == "| --- | --- | --- | --- | --- |"
+    assert second[2] == "| gain captured | 0.700 ± 2.00 | -0.300 to 1.70 | 0.900 |  |"
+    assert second[3] == "| control, distance after 2 steps | 0.500 ± 2.00 | -0.500 to 1.50 |  | 1.00 |"
+    (line,) = static(rrd, "/report/control_distance/dmotion", "LineStrips2D:strips")
+    (still,) = static(rrd, "/report/control_distance/idle", "LineStrips2D:strips")
+    heights = [height for _, height in line]
+    assert len(heights) == 3
+    assert heights[0] == still[0][1] == still[2][1]  # both begin at 1
+    assert heights[1] - heights[0] == pytest.approx(heights[2] - heights[1])  # as far each step, linear
+    assert heights[0] < heights[1]  # downward is larger in a picture
+
+
+def test_a_report_without_single_steps_names_no_worst_episode(run: Run, dataset: Dataset, rrd: Path) -> None:
+    folder = write_made_up(run, MSE, "psnr", planned={"dmotion": {"control_distance[1]": figure(0.5)}})
+    try:
+        write_scene(run_scene(run, dataset, [4]), rrd)
+    finally:
+        shutil.rmtree(folder)
+    assert "worst" not in static(rrd, "/report/figures", "TextDocument:text")[0]

@@ -105,7 +105,7 @@ def test_a_run(run: Run, dataset: Dataset, reports: None, tmp_path: Path) -> Non
         plot = picture_of(viewer, f"{root}/mse", tmp_path)
         for color in ((86, 180, 233), (230, 159, 0), (140, 140, 140)):
             assert (np.abs(plot - color).max(-1) < 12).sum() > 20, color
-        for tab, origin in (("Training", "/training/chart"), ("Report", "/report/rollout")):
+        for tab, origin in (("Training", "/training/chart"), ("Report", "/report/rollout_mse")):
             viewer.tab(tab)
             drawn = picture_of(viewer, origin, tmp_path)
             assert (np.ptp(drawn, axis=-1) > 60).sum() > 100  # coloured lines on grey

@@ -21,6 +21,8 @@ from dmotion_bench.viewing.scene import picture_view
 STEP = "step"
 GAP = 2  # [px] between the pictures of a strip
 SHOWN = 3  # of the best candidates are drawn
+STEPS_PER_SECOND = 5.0
+"""How fast a task is played; slowly enough to see what was imagined."""
 
 
 def control_blueprint(spec: EnvSpec, horizon: int, pictures: bool) -> rrb.Blueprint:
@@ -31,10 +33,7 @@ def control_blueprint(spec: EnvSpec, horizon: int, pictures: bool) -> rrb.Bluepr
         horizon: Pictures in a future.
         pictures: Whether futures are drawn.
     """
-    images = rrb.Horizontal(
-        picture_view("camera", "camera", spec.width, spec.height),
-        picture_view("goal", "goal", spec.width, spec.height),
-    )
+    images = [picture_view(one, one, spec.width, spec.height) for one in ("camera", "goal")]
     width = horizon * (spec.width + GAP)
     strip = picture_view("imagined", "imagined: the best candidates, step by step", width, SHOWN * (spec.height + GAP))
     curves = rrb.Horizontal(
@@ -42,12 +41,12 @@ def control_blueprint(spec: EnvSpec, horizon: int, pictures: bool) -> rrb.Bluepr
         rrb.BarChartView(origin="cost", name="lowest cost after each iteration"),
         rrb.TextDocumentView(origin="candidates", name="candidates"),
     )
-    rows = [images, strip, curves] if pictures else [images, curves]
+    beside = rrb.Horizontal(rrb.Vertical(*images), strip, column_shares=[1, 2.4])
     return rrb.Blueprint(
-        rrb.Vertical(*rows, row_shares=[3, 4, 2] if pictures else [3, 2]),
+        rrb.Vertical(beside if pictures else rrb.Horizontal(*images), curves, row_shares=[3, 1]),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
-        rrb.TimePanel(state="collapsed", timeline=STEP),
+        rrb.TimePanel(state="collapsed", timeline=STEP, fps=STEPS_PER_SECOND),
         auto_layout=False,
         auto_views=False,
     )

@@ -69,7 +69,7 @@ class Camera:
         """Write what the view of an entity shows at a frame as a PNG; its tab is to be in front.
 
         Raises:
-            ViewerError: There is none of that entity.
+            ViewerError: There is none of that entity, or no such timeline.
         """
         views = {view.origin: view.view_id for view in _patiently(self._client.get_state).views}
         if origin not in views:
@@ -78,11 +78,18 @@ class Camera:
         _patiently(lambda: self._client.save_screenshot(str(picture.resolve()), view_id=views[origin]))
 
     def _go_to(self, timeline: str, place: int) -> None:
+        shown = {one.name for recording in _patiently(self._client.get_state).recordings for one in recording.timelines}
+        if timeline not in shown:
+            raise ViewerError(f"no timeline {timeline!r}; there are: {', '.join(sorted(shown))}.")
         _patiently(lambda: self._client.set_time(timeline, sequence=place, play_state="paused"))
         time.sleep(0.5)
 
     def take(self, picture: Path, *, frame: int, timeline: str = FRAME) -> None:
-        """Write what is seen at a frame as a PNG, without the window's own bar."""
+        """Write what is seen at a frame as a PNG, without the window's own bar.
+
+        Raises:
+            ViewerError: There is no such timeline.
+        """
         self._go_to(timeline, frame)
         _patiently(lambda: self._client.save_screenshot(str(picture.resolve())))
         with Image.open(picture) as whole:
@@ -150,7 +157,8 @@ def main() -> None:
     parser.add_argument("rrd", type=Path)
     parser.add_argument("picture", type=Path, help="a PNG")
     parser.add_argument("--tab", help="the name on a tab; the one in front if left out")
-    parser.add_argument("--frame", type=int, default=0)
+    parser.add_argument("--frame", type=int, default=0, help="the place on the timeline")
+    parser.add_argument("--timeline", default=FRAME, help="of a plan and of a training 'step'; 'frame' if left out")
     parser.add_argument("--width", type=int, default=1600)
     parser.add_argument("--height", type=int, default=900)
     given = parser.parse_args()
@@ -158,7 +166,7 @@ def main() -> None:
         with camera(given.rrd, given.width, given.height) as taken:
             if given.tab is not None:
                 taken.tab(given.tab)
-            taken.take(given.picture, frame=given.frame)
+            taken.take(given.picture, frame=given.frame, timeline=given.timeline)
     except DmbenchError as error:
         sys.exit(f"dmbench: {error}")
 

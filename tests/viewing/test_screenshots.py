@@ -92,6 +92,8 @@ def test_a_data_set(dataset: Dataset, tmp_path: Path) -> None:
         assert set(viewer.views()) == origins
         with pytest.raises(ViewerError, match="no view is of '/nothing'"):
             viewer.take_view(tmp_path / "no.png", "/nothing", frame=0)
+        with pytest.raises(ViewerError, match="no timeline 'epoch'; there are: frame"):
+            viewer.take(tmp_path / "no.png", frame=0, timeline="epoch")
 
 
 def test_a_run(run: Run, dataset: Dataset, reports: None, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ class Served:
 
     def __init__(self, stack: contextlib.ExitStack, viewer: WebViewer) -> None:
         self._stack, self._viewer = stack, viewer
-        self.url, self.ports = viewer.url, (viewer.page_port, viewer.data_port)
+        self.url, self.ports = viewer.url, (viewer.port,)
 
     def wait(self) -> None:
         """Wait until the page is not served any more, as when its process was ended."""

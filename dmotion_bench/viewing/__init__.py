@@ -23,7 +23,7 @@
     drive.py        a model's predictions while somebody drives them
     live.py         recordings that are watched while they are made
     follow.py       a training or a recording that is watched while it goes on
-    file_server.py  one file over HTTP, for the web page
+    page_server.py  Rerun's web page and the file that it shows, over HTTP
     viewer.py       Rerun's programs: a window, a web page, a headless one
     guard.py        ends Rerun's programs with the process that started them
     screenshot.py   an .rrd as a picture

@@ -2,8 +2,8 @@
 
 All are the command-line program that comes with ``rerun-sdk``, given a whole .rrd and told to listen on this
 machine's loopback address alone. (Started from Python, its servers listen on every network interface: rerun-io/rerun
-#5882.) The web page fetches the .rrd from ``file_server.py``. Each program runs in a process group of its own that
-ends with the block it was opened in, or with this process where that is killed (``guard.py``).
+#5882.) None talks to another machine: of the web page ``page_server.py`` sees to that. Each program runs in a process
+group of its own that ends with the block it was opened in, or with this process where that is killed (``guard.py``).
 """
 
 from __future__ import annotations
@@ -21,19 +21,29 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from urllib.parse import quote
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.loopback_server import LOOPBACK
-from dmotion_bench.viewing.file_server import serving
+from dmotion_bench.viewing.page_server import page_server
 
 WEB_PORT, LIVE_PORT = 9090, 9876
 START_SECONDS = 30.0
 LIFE_SECONDS = 300.0
 """Of a viewer without a window: nobody could close it if it hung."""
 
-ENVIRONMENT = {"RERUN_APP_ONLY": "true", "RUST_LOG": "info", "NO_COLOR": "1"}
-"""No first-run notice, as in Rerun's own spawn(), and what it listens on is said in its messages."""
+ENVIRONMENT = {
+    "RERUN_APP_ONLY": "true",
+    "RUST_LOG": "info",
+    "NO_COLOR": "1",
+    "CI": "true",
+    "HTTPS_PROXY": f"http://{LOOPBACK}:9",
+}
+"""No first-run notice, as in Rerun's own spawn(), and what it listens on is said in its messages.
+
+It sends no statistics of its use, as on CI (``rerun analytics disable`` would change the user's own settings), and its
+question for a newer version ends at the discard port of this machine.
+"""
+PROXIES = ("all_proxy", "https_proxy")
 
 ATTEMPTS = 3
 TAKEN = "Address already in use"
@@ -45,13 +55,12 @@ class WebViewer:
 
     Attributes:
         url: To open in a browser on this machine.
-        page_port, data_port: Over ssh both are forwarded.
-        process: Serves until it ends.
+        port: Over ssh it is forwarded.
+        process: Rerun; the page is there until it ends.
     """
 
     url: str
-    page_port: int
-    data_port: int
+    port: int
     process: subprocess.Popen[bytes]
 
 
@@ -109,15 +118,15 @@ def serve_web(rrd: Path) -> Iterator[WebViewer]:
     Raises:
         ViewerError: Rerun could not be started.
     """
-    with serving(rrd) as data:
+    with page_server(WEB_PORT) as (server, folder):
+        server.scene = rrd
 
         def options(ports: Sequence[int]) -> list[str]:
-            return ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(ports[0]), data.url]
+            return ["--serve-web", "--bind", LOOPBACK, "--web-viewer-port", str(ports[0]), server.scene_url]
 
-        with _listening_program(options, WEB_PORT) as (process, (port,)):
-            data.page_port = port
-            page = f"http://{LOOPBACK}:{port}?url={quote(data.url, safe='')}"
-            yield WebViewer(url=page, page_port=port, data_port=data.port, process=process)
+        with _listening_program(options, 0) as (process, (port,)):
+            server.take_over(port, folder)
+            yield WebViewer(url=server.page_url(server.scene_url), port=server.port, process=process)
 
 
 @contextlib.contextmanager
@@ -130,14 +139,27 @@ def open_live(*, web: bool) -> Iterator[LiveViewer]:
     if not web:
         require_display()
 
+        def to_window(ports: Sequence[int]) -> list[str]:
+            return ["--bind", LOOPBACK, "--port", str(ports[0]), "--hide-welcome-screen"]
+
+        with _listening_program(to_window, LIVE_PORT) as (process, (port,)):
+            yield LiveViewer(address=_source(port), page=None, ports=(port,), process=process)
+        return
+
     def options(ports: Sequence[int]) -> list[str]:
         where = ["--bind", LOOPBACK, "--port", str(ports[0])]
-        return [*where, *(("--serve-web", "--web-viewer-port", str(ports[1])) if web else ("--hide-welcome-screen",))]
+        return [*where, "--serve-web", "--web-viewer-port", str(ports[1])]
 
-    with _listening_program(options, LIVE_PORT, *((WEB_PORT,) if web else ())) as (process, ports):
-        address = f"rerun+http://{LOOPBACK}:{ports[0]}/proxy"
-        page = f"http://{LOOPBACK}:{ports[1]}?url={quote(address, safe='')}" if web else None
-        yield LiveViewer(address=address, page=page, ports=tuple(ports), process=process)
+    with page_server(WEB_PORT) as (server, folder), _listening_program(options, LIVE_PORT, 0) as (process, ports):
+        server.source_port = ports[0]
+        server.take_over(ports[1], folder)
+        page, address = server.page_url(_source(ports[0])), _source(ports[0])
+        yield LiveViewer(address=address, page=page, ports=(ports[0], server.port), process=process)
+
+
+def _source(port: int) -> str:
+    """The address that a recording connects to, and a page listens to."""
+    return f"rerun+http://{LOOPBACK}:{port}/proxy"
 
 
 @contextlib.contextmanager
@@ -161,7 +183,7 @@ def headless(rrd: Path | None, width: int, height: int) -> Iterator[str]:
         limit.daemon = True
         limit.start()
         try:
-            yield f"rerun+http://{LOOPBACK}:{port}/proxy"
+            yield _source(port)
         finally:
             limit.cancel()
 
@@ -193,7 +215,7 @@ def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
         with log.open("wb") as messages:
             process = subprocess.Popen(
                 [sys.executable, "-m", "dmotion_bench.viewing.guard", *options],
-                env={**os.environ, **ENVIRONMENT},
+                env={name: value for name, value in os.environ.items() if name.lower() not in PROXIES} | ENVIRONMENT,
                 stdin=subprocess.PIPE,  # held open by this process for as long as it lives
                 stdout=messages,
                 stderr=messages,

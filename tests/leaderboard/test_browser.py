@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import CHROMIUM, Browser, browsing
 from PIL import Image
 
 from dmotion_bench.scoring.references import published_results
@@ -16,7 +17,6 @@ from leaderboard.entry import Entry, published_entry
 from leaderboard.page import make_page
 from leaderboard.paper import label_count
 
-from .browser import CHROMIUM, Browser, browsing
 from .conftest import controlled
 from .test_page import _hostile
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import re
+import shutil
 import socket
 import subprocess
 import sys
@@ -17,13 +19,14 @@ import psutil
 import pytest
 import rerun as rr
 import rerun.blueprint as rrb
+from browser import CHROMIUM, browsing
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing import viewer as programs
 from dmotion_bench.viewing.dataset import dataset_scene
-from dmotion_bench.viewing.file_server import FileServer, serving
 from dmotion_bench.viewing.live import recording_to
+from dmotion_bench.viewing.page_server import PAGE
 from dmotion_bench.viewing.scene import write_scene
 from dmotion_bench.viewing.screenshot import BAR, camera, has_vulkan
 from dmotion_bench.viewing.screenshot import main as take_picture
@@ -71,18 +74,53 @@ def web(scene: Path) -> Iterator[WebViewer]:
 def test_page_and_data_are_for_this_machine_alone(web: WebViewer) -> None:
     assert listening(psutil.Process(web.process.pid)) == {"127.0.0.1"}
     assert listening(psutil.Process()) <= {"127.0.0.1"}
-    assert is_open(web.page_port)
-    assert is_open(web.data_port)
+    assert is_open(web.port)
 
 
 def test_the_page_is_reruns_and_finds_the_data(web: WebViewer, scene: Path) -> None:
-    status, page, _ = fetch(web.url)
-    assert status == 200
+    status, page, headers = fetch(web.url)
+    assert (status, headers["Content-Type"]) == (200, "text/html")
     assert b"rerun" in page.lower()
     (data,) = urllib.parse.parse_qs(urllib.parse.urlparse(web.url).query)["url"]
-    status, content, headers = fetch(data, Origin=f"http://127.0.0.1:{web.page_port}")
-    assert (status, content) == (200, scene.read_bytes())
-    assert headers["Access-Control-Allow-Origin"] == f"http://127.0.0.1:{web.page_port}"
+    assert data.startswith(f"http://127.0.0.1:{web.port}/")  # of the same origin
+    assert fetch(data)[:2] == (200, scene.read_bytes())
+
+
+def test_a_browser_is_told_to_let_the_page_talk_to_this_machine_alone(web: WebViewer) -> None:
+    base = f"http://127.0.0.1:{web.port}"
+    for path in PAGE:
+        rules = dict(rule.split(" ", 1) for rule in fetch(base + path)[2]["Content-Security-Policy"].split("; "))
+        assert (rules["default-src"], rules["connect-src"]) == ("'none'", "'self'")
+        assert not [word for rule in rules.values() for word in rule.split() if "." in word or "*" in word]
+    assert re.search(rb"<link[^>]*//", fetch(base)[1]) is None  # nor does the browser look up fonts beforehand
+    assert fetch(f"{base}/re_viewer_bg.wasm")[2]["Content-Type"] == "application/wasm"  # else it is no program
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium is installed (apt install chromium)")
+def test_in_a_browser_the_page_loads_the_data_and_asks_no_other_machine(web: WebViewer, tmp_path: Path) -> None:
+    with browsing(tmp_path) as browser:
+        browser.call("Page.navigate", url=web.url)
+        end = time.monotonic() + 60
+        while not any(urllib.parse.urlparse(address).path == "/scene.rrd" for address in browser.requests):
+            assert time.monotonic() < end, browser.complaints
+            browser.ask("1")
+            time.sleep(0.1)
+        hosts = {urllib.parse.urlparse(address).netloc for address in browser.requests}
+    assert hosts == {f"127.0.0.1:{web.port}"}
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="no strace is installed (apt install strace)")
+def test_rerun_itself_asks_no_other_machine(scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Neither for a newer version nor with statistics of its use."""
+    trace, real = tmp_path / "trace", subprocess.Popen
+    calls = ["strace", "-f", "-e", "trace=connect,sendto,sendmmsg", "-o", str(trace)]
+    monkeypatch.setenv("ALL_PROXY", "http://10.1.2.3:80")
+    monkeypatch.setattr(subprocess, "Popen", lambda command, **options: real([*calls, *command], **options))
+    with serve_web(scene) as viewer:
+        fetch(viewer.url)
+        time.sleep(1)
+    addresses = set(re.findall(r'inet_addr\("([^"]*)"\)', trace.read_text()))
+    assert addresses <= {"127.0.0.1"}
 
 
 def test_it_all_ends_with_the_block(scene: Path) -> None:
@@ -91,21 +129,20 @@ def test_it_all_ends_with_the_block(scene: Path) -> None:
         processes += processes[0].children(recursive=True)
     psutil.wait_procs(processes, timeout=5)
     assert not any(process.is_running() and process.status() != psutil.STATUS_ZOMBIE for process in processes)
-    assert not is_open(viewer.page_port)
-    assert not is_open(viewer.data_port)
+    assert not is_open(viewer.port)
 
 
-def test_a_port_that_another_program_takes_meanwhile_is_left_to_it(
-    scene: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as other:
-        taken = other.getsockname()[1]
+def test_ports_that_another_program_has_or_takes_meanwhile_are_left_to_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as other, socket.create_server(("127.0.0.1", 0)) as another:
+        taken, page = other.getsockname()[1], another.getsockname()[1]
         real = programs._free_port
         monkeypatch.setattr(programs, "_free_port", lambda wanted: taken if wanted == 12 else real(wanted))
-        monkeypatch.setattr(programs, "WEB_PORT", 12)
-        with serve_web(scene) as viewer:
-            assert viewer.page_port != taken
-            assert fetch(viewer.url)[0] == 200
+        monkeypatch.setattr(programs, "LIVE_PORT", 12)
+        monkeypatch.setattr(programs, "WEB_PORT", page)
+        with open_live(web=True) as viewer:
+            assert not {taken, page} & set(viewer.ports)
+            assert viewer.page is not None
+            assert fetch(viewer.page)[0] == 200
 
 
 def test_what_ignores_a_request_to_end_is_ended(tmp_path: Path) -> None:
@@ -130,7 +167,9 @@ def test_a_live_viewer_is_for_this_machine_alone_and_may_end_before_the_work() -
     with open_live(web=True) as viewer:
         assert listening(psutil.Process(viewer.process.pid)) == {"127.0.0.1"}
         assert viewer.page is not None
-        assert fetch(viewer.page)[0] == 200
+        status, _, headers = fetch(viewer.page)
+        assert status == 200
+        assert f"http://127.0.0.1:{viewer.ports[0]} " in headers["Content-Security-Policy"]
         with recording_to("work", rrb.Blueprint(), address=viewer.address) as recording:
             recording.log("a", rr.Scalars([1.0]))
             recording.flush(timeout_sec=30)
@@ -139,22 +178,17 @@ def test_a_live_viewer_is_for_this_machine_alone_and_may_end_before_the_work() -
                 recording.log("a", rr.Scalars([float(value)]))
 
 
-@pytest.fixture
-def server(scene: Path) -> Iterator[FileServer]:
-    with serving(scene, page_port=1234) as server:
-        yield server
+def test_the_server_gives_the_page_and_the_scene_and_nothing_else(web: WebViewer, scene: Path) -> None:
+    for path in ("/scene.rrd/..", f"/{scene}", "/../../etc/passwd", "/%2e%2e/scene.rrd", "/sw.js"):
+        assert fetch(f"http://127.0.0.1:{web.port}{path}")[0] == 404
 
 
-def test_the_file_server_gives_one_file_and_nothing_else(server: FileServer, scene: Path) -> None:
-    assert fetch(server.url)[:2] == (200, scene.read_bytes())
-    for path in ("/", "/scene.rrd/..", f"/{scene}", "/../../etc/passwd", "/%2e%2e/scene.rrd"):
-        assert fetch(f"http://127.0.0.1:{server.port}{path}")[0] == 404
-
-
-def test_other_pages_and_other_names_may_not_read_it(server: FileServer) -> None:
-    for origin in ("http://evil.example", "http://127.0.0.1:1", "null"):
-        assert "Access-Control-Allow-Origin" not in fetch(server.url, Origin=origin)[2]
-    assert fetch(server.url, Host=f"evil.example:{server.port}")[0] == 404  # a name that was bent to this address
+def test_other_pages_and_other_names_may_not_read_it(web: WebViewer) -> None:
+    for path in ("/", "/scene.rrd"):
+        url = f"http://127.0.0.1:{web.port}{path}"
+        for origin in ("http://evil.example", "http://127.0.0.1:1", "null"):
+            assert "Access-Control-Allow-Origin" not in fetch(url, Origin=origin)[2]
+        assert fetch(url, Host=f"evil.example:{web.port}")[0] == 404  # a name that was bent to this address
 
 
 def test_without_a_display_the_other_ways_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

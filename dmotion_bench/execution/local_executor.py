@@ -18,7 +18,7 @@ from typing import Final, cast
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result, Sendable
 from dmotion_bench.execution.processes import NO_ROOM, end_with
-from dmotion_bench.interrupts import received
+from dmotion_bench.interrupts import received, stop_between_steps
 
 BEGINNINGS: Final = "dmotion_bench.execution.beginnings"
 """What the server of processes loads to leave Ctrl-C to the command, and to say nothing of one that comes too late."""
@@ -59,7 +59,7 @@ class LocalExecutor:
             while True:
                 while idle and (numbered := queue.next()) is not None:
                     if (pool := idle.pop()) is None:
-                        started.append(pool := _process(context))
+                        pool = _process(context, started)
                     try:
                         with _starting():
                             running[pool.submit(sent, numbered[1])] = (pool, *numbered)
@@ -146,8 +146,17 @@ def _nothing() -> None:
     """What the first process does."""
 
 
-def _process(context: BaseContext) -> ProcessPoolExecutor:
-    return ProcessPoolExecutor(1, mp_context=context, initializer=_become_worker, initargs=(dict(os.environ),))
+def _process(context: BaseContext, started: list[ProcessPoolExecutor]) -> ProcessPoolExecutor:
+    """One more pool of one process, which joins those that have been started.
+
+    An interruption waits until it is made: of the semaphores of one half made Python complains at its end.
+    """
+    with stop_between_steps() as asked:
+        pool = ProcessPoolExecutor(1, mp_context=context, initializer=_become_worker, initargs=(dict(os.environ),))
+        started.append(pool)
+    if asked():
+        raise KeyboardInterrupt
+    return pool
 
 
 def _end(pools: list[ProcessPoolExecutor]) -> None:

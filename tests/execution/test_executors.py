@@ -10,8 +10,10 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ProcessPoolExecutor
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mortal_workers import (
@@ -27,6 +29,7 @@ from pretend_slurm import use_slurm
 
 from dmotion_bench import errors
 from dmotion_bench.errors import DmbenchError, JobsLost, PackageNotInstalled, UnknownName
+from dmotion_bench.execution import local_executor
 from dmotion_bench.execution.executor import (
     ATTEMPTS,
     Executor,
@@ -80,6 +83,22 @@ def done_beside_the_lost_one(executor: Executor, jobs: list[int], who: str) -> l
 
 def test_a_job_that_kills_every_worker_stops_no_other() -> None:
     assert done_beside_the_lost_one(LocalExecutor(2), [1, 2, 3, 4], "a worker process") == [2, 3, 4]
+
+
+def test_an_interruption_waits_until_a_pool_is_whole_and_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[ProcessPoolExecutor] = []
+
+    def interrupted(*words: Any, **options: Any) -> ProcessPoolExecutor:
+        signal.raise_signal(signal.SIGINT)
+        made.append(ProcessPoolExecutor(*words, **options))
+        return made[-1]
+
+    monkeypatch.setattr(local_executor, "ProcessPoolExecutor", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        list(LocalExecutor(2).map_unordered(abs, [-1, -2]))
+    (pool,) = made
+    with pytest.raises(RuntimeError, match="shutdown"):
+        pool.submit(abs, -1)
 
 
 def test_every_error_survives_the_way_between_processes() -> None:

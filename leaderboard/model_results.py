@@ -6,7 +6,9 @@ the light ones of ``page.css``, on paper.
 
 from __future__ import annotations
 
+import itertools
 import re
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -318,9 +320,13 @@ def _file(chart: Markup, series: Sequence[Series]) -> str:
     css = resources.files(__package__).joinpath("page.css").read_text()
     colors = css.partition("{")[2].partition("}")[0]
     style = f":root {{{colors}}}\n" + "\n".join(_STYLED.findall(css))
-    height = HEIGHT + 8 + _LINE_HEIGHT * len(series)
-    width = max(WIDTH, _LEGEND_LEFT + _LETTER * max((len(one.name) for one in series), default=0))
-    legend = [_legend(one, HEIGHT + 14 + _LINE_HEIGHT * place) for place, one in enumerate(series)]
+    words = [textwrap.wrap(one.name, (WIDTH - _LEGEND_LEFT) // _LETTER, break_on_hyphens=False) for one in series]
+    above = [0, *itertools.accumulate(map(len, words))]
+    height = HEIGHT + 8 + _LINE_HEIGHT * above[-1]
+    legend = [
+        _legend(one, lines, HEIGHT + 14 + _LINE_HEIGHT * before)
+        for one, lines, before in zip(series, words, above, strict=False)
+    ]
     picture = element(
         "svg",
         element("style", Markup(style)),
@@ -328,14 +334,17 @@ def _file(chart: Markup, series: Sequence[Series]) -> str:
         chart,
         element("g", joined(legend), class_="chart"),
         xmlns="http://www.w3.org/2000/svg",
-        viewBox=f"0 0 {width} {height}",
-        width=width,
+        viewBox=f"0 0 {WIDTH} {height}",
+        width=WIDTH,
         height=height,
     )
     return f"{picture}\n"
 
 
-def _legend(one: Series, y: float) -> Markup:
+def _legend(one: Series, lines: Sequence[str], y: float) -> Markup:
     line = element("path", d=f"M12 {y:g}H44", class_=f"line {one.dash}")
-    text = element("text", one.name, x=_LEGEND_LEFT, y=f"{y + 4:g}")
-    return element("g", line, marker(one.style, 28, y), text, class_=one.style.color)
+    text = [
+        element("text", words, x=_LEGEND_LEFT, y=f"{y + 4 + _LINE_HEIGHT * place:g}")
+        for place, words in enumerate(lines)
+    ]
+    return element("g", line, marker(one.style, 28, y), *text, class_=one.style.color)

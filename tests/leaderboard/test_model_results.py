@@ -9,11 +9,13 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 
 from dmotion_bench.registry import model_names
 from leaderboard import planners
 from leaderboard.board import Board, make_boards
+from leaderboard.chart import WIDTH
 from leaderboard.entry import Entry
 from leaderboard.entry_file import write_entry
 from leaderboard.model_results import CURVE, NOTHING, model_charts, model_lines
@@ -180,10 +182,24 @@ def test_charts_are_named_pictures_that_load_nothing(boards: list[Board]) -> Non
         assert "url(" not in text
         assert len(text) < 20_000
         picture = ElementTree.fromstring(text)
-        longest = max(len(one) for one in _series(picture))
-        assert float(picture.attrib["width"]) >= 52 + 6 * longest  # its legend does not run past the edge
+        assert float(picture.attrib["width"]) == WIDTH
+        legend = picture.findall(f"{SVG}g")[-1]
+        lines = [line for one in legend for line in one.iter(f"{SVG}text")]
+        assert max(52 + 6 * len(str(line.text)) for line in lines) <= WIDTH  # none runs past the edge
+        heights = [float(line.attrib["y"]) for line in lines]
+        assert [*np.diff(heights)] == [18.0] * (len(lines) - 1)
+        assert heights[-1] < float(picture.attrib["height"])
         assert picture.tag == f"{SVG}svg"
         assert {name.rpartition("}")[2] for one in picture.iter() for name in one.attrib} & {"href", "src"} == set()
+
+
+def test_a_long_name_in_a_legend_has_several_lines(result: Callable[..., Entry]) -> None:
+    run = "dmotion-grid_world-tiny-" + "-".join(f"number{place}_of_settings_1" for place in range(7)) + "-s0"
+    charts = model_charts("dmotion", make_boards([result(run, (1.0, 2.0, 4.0))]))
+    (legend,) = ElementTree.fromstring(charts["dmotion-rollout.svg"]).findall(f"{SVG}g")[-1]
+    lines = [str(line.text) for line in legend.iter(f"{SVG}text")]
+    assert len(lines) > 2
+    assert all(f"number{place} of settings 1" in " ".join(lines) for place in range(7))
 
 
 def test_a_page_gets_its_rows_and_its_charts(boards: list[Board], tmp_path: Path) -> None:

@@ -94,6 +94,7 @@ def reproduce(
     seeds: Sequence[int] | None = None,
     models: Sequence[str] | None = None,
     worlds: Sequence[str] | None = None,
+    columns: Sequence[str] | None = None,
     executor: str = "local",
     workers: int | None = None,
     device: str = "auto",
@@ -111,7 +112,7 @@ def reproduce(
         table: A registered name (``"paper"``, ``"control"``, ``"continuous"``, ``"labels"``, ``"laom"``), or a table
             of your own.
         preset: Size of recordings and trainings; the table's by default.
-        seeds, models, worlds: A part of the table.
+        seeds, models, worlds, columns: A part of the table.
         executor: Where jobs run: ``"local"``, ``"ray"`` or ``"slurm"``.
         workers: Jobs at a time; by default as many as there are processors and memory for, also on a GPU, which they
             share. More than one need ``if __name__ == "__main__":`` in a script.
@@ -132,7 +133,8 @@ def reproduce(
         (1, 3)
     """
     require_one_of("executor", executor, EXECUTORS)
-    plan = plan_table(table, preset=preset, seeds=seeds, models=models, worlds=worlds, workspace=workspace)
+    part = {"models": models, "worlds": worlds, "columns": columns}
+    plan = plan_table(table, preset=preset, seeds=seeds, **part, workspace=workspace)
     with telling(progress) as tell:
 
         def count(part: str, done: int, total: int) -> None:
@@ -153,6 +155,7 @@ def plan_table(
     seeds: Sequence[int] | None = None,
     models: Sequence[str] | None = None,
     worlds: Sequence[str] | None = None,
+    columns: Sequence[str] | None = None,
     workspace: AnyPath | None = None,
 ) -> Plan:
     """The jobs of a table, or of a part of it.
@@ -164,14 +167,11 @@ def plan_table(
     """
     if not isinstance(table, str | Table):
         raise UsageError(f"{shown(table)} is no table; give a table's name, such as 'paper', or a Table.")
-    name = table if isinstance(table, str) else "own"
-    known = table_named(table) if isinstance(table, str) else table
-    narrowed = known.narrowed(
-        preset=None if preset is None else as_preset(preset), seeds=seeds, models=models, worlds=worlds
-    )
-    require_models(narrowed)
-    plan = Plan(narrowed, name, Workspace.current())
-    plan.require_own()
+    name, known = (table, table_named(table)) if isinstance(table, str) else ("own", table)
+    size = None if preset is None else as_preset(preset)
+    part = known.narrowed(preset=size, seeds=seeds, models=models, worlds=worlds, columns=columns)
+    require_models(part)
+    (plan := Plan(part, name, Workspace.current())).require_own()
     return plan
 
 

@@ -60,6 +60,15 @@ def reproduce(
     worlds: Annotated[
         str | None, typer.Option(metavar="WORLD,WORLD...", help="Only these worlds.", show_default=False)
     ] = None,
+    columns: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMN,COLUMN...",
+            help="Only these figures, and the models and worlds that have them: prediction, a frozen planner, or as "
+            "the table calls them.",
+            show_default=False,
+        ),
+    ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Only say which jobs are left, and what they cost on this machine.")
     ] = False,
@@ -103,6 +112,7 @@ def reproduce(
         seeds=numbers("--seeds", seeds),
         models=names(models),
         worlds=names(worlds),
+        columns=names(columns),
         workspace=None,
     )
     hands = Hands(executor=executor, workers=workers, device=device)

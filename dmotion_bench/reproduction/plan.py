@@ -181,7 +181,6 @@ class Plan:
         self.table, self.name, self.workspace = table, name, workspace
         by_world = {world.label: self._recording(world) for world in table.worlds}
         others = {world.label: self._recording(world.control_on) for world in table.worlds if world.control_on}
-        self.recordings = list({one.folder: one for one in (*by_world.values(), *others.values())}.values())
         self.trainings = [
             training
             for recording in by_world.values()
@@ -198,6 +197,8 @@ class Plan:
             if not column.worlds or label in column.worlds
             for scoring in self._scorings(column, recording, others.get(label))
         ]
+        used = [*by_world.values(), *(one for one in others.values() if any(s.scored_on is one for s in self.scorings))]
+        self.recordings = list({one.folder: one for one in used}.values())
 
     def require_own(self) -> None:
         """See that the folders of the table hold its data sets and runs, parts of them, or nothing.

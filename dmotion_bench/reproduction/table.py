@@ -227,25 +227,33 @@ class Table:
         seeds: Sequence[int] | None = None,
         models: Sequence[str] | None = None,
         worlds: Sequence[str] | None = None,
+        columns: Sequence[str] | None = None,
     ) -> Table:
-        """A part of the table, or the table at another size. Models on request are in it only if they are named.
+        """A part of the table, or the table at another size.
+
+        Models on request are in it only if they are named, and models and worlds that no column named has only then.
 
         Raises:
-            UnknownName: A model or a world that it does not have.
-            UsageError: No model or world is named, nothing is left of it, or a seed cannot be one.
+            UnknownName: A model, a world or a column that it does not have.
+            UsageError: No model, world or column is named, nothing is left of it, or a seed cannot be one.
         """
         entrants = _chosen("model of this table", models, self.entrants, [one.model for one in self.entrants])
         if models is None:
             entrants = tuple(one for one in entrants if not one.on_request)
         kept = _chosen("world of this table", worlds, self.worlds, [one.label for one in self.worlds])
         names, labels = {one.model for one in entrants}, {one.label for one in kept}
-        columns = tuple(
+        asked = _chosen("column of this table", columns, self.columns, [one.name for one in self.columns])
+        having = tuple(
             column
-            for column in self.columns
+            for column in asked
             if (not column.models or names & {*column.models}) and (not column.worlds or labels & {*column.worlds})
         )
-        if not columns:
+        if not having:
             raise UsageError("no column of this table has figures of these models in these worlds; name others.")
+        if columns is not None and models is None and all(column.models for column in having):
+            entrants = tuple(one for one in entrants if any(one.model in column.models for column in having))
+        if columns is not None and worlds is None and all(column.worlds for column in having):
+            kept = tuple(one for one in kept if any(one.label in column.worlds for column in having))
         given: Any = seeds
         if given is not None and (isinstance(given, str) or not isinstance(given, Iterable)):
             raise UsageError(f"seeds is {shown(seeds)}; give a list of whole numbers, such as [0, 1, 2].")
@@ -256,7 +264,7 @@ class Table:
             self,
             worlds=kept,
             entrants=entrants,
-            columns=columns,
+            columns=having,
             preset=preset or self.preset,
             seeds=named,
         )

@@ -72,6 +72,25 @@ def test_a_part_of_a_table_is_chosen_by_names() -> None:
         dataclasses.replace(TABLE, columns=TABLE.columns * 2)
 
 
+def test_a_column_comes_with_the_models_and_the_recordings_that_it_needs(tmp_path: Path) -> None:
+    control = registry.table("control")
+    extra = control.narrowed(columns=["paper"])
+    assert [one.name for one in extra.columns] == ["paper"]
+    assert {one.model for one in extra.entrants} == {"dmotion", "clasp", "ed-cnn", "wm-ae"}
+    headline = control.narrowed(columns=["generic-risk"], worlds=["planar_push"])
+    assert headline.entrants == control.entrants
+    with pytest.raises(UsageError, match="no column of this table has figures of these models"):
+        control.narrowed(columns=["paper"], models=["jepa"])
+    with pytest.raises(UnknownName, match="did you mean 'generic-risk'"):
+        control.narrowed(columns=["generic-rsk"])
+
+    def recorded(table: Table) -> list[str]:
+        return [one.folder.name for one in Plan(table, "control", Workspace(tmp_path)).recordings]
+
+    assert recorded(headline) == ["planar_push-small", "planar_push-test"]
+    assert recorded(control.narrowed(columns=["prediction"], worlds=["planar_push"])) == ["planar_push-small"]
+
+
 @pytest.mark.parametrize(
     ("model", "shared"), [("laom", 1.0), ("laom-labels", 0.0), ("wm-ae", 0.5), ("idm-ed-cnn", 0.0), ("ed-cnn", 0.0)]
 )

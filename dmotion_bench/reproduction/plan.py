@@ -197,7 +197,7 @@ class Plan:
             if not column.worlds or label in column.worlds
             for scoring in self._scorings(column, recording, others.get(label))
         ]
-        used = [*by_world.values(), *(one for one in others.values() if any(s.scored_on is one for s in self.scorings))]
+        used = [*by_world.values(), *(scoring.place for scoring in self.scorings)]
         self.recordings = list({one.folder: one for one in used}.values())
 
     def require_own(self) -> None:

@@ -27,7 +27,7 @@ from mortal_workers import (
 from noise_world import files_of
 from pretend_slurm import use_slurm
 
-from dmotion_bench import errors
+from dmotion_bench import errors, interrupts
 from dmotion_bench.errors import DmbenchError, JobsLost, PackageNotInstalled, UnknownName
 from dmotion_bench.execution import local_executor
 from dmotion_bench.execution.executor import (
@@ -94,6 +94,7 @@ def test_an_interruption_waits_until_a_pool_is_whole_and_ends_it(monkeypatch: py
         return made[-1]
 
     monkeypatch.setattr(local_executor, "ProcessPoolExecutor", interrupted)
+    monkeypatch.setattr(interrupts._Received, "number", 0)  # as it is again afterwards
     with pytest.raises(KeyboardInterrupt):
         list(LocalExecutor(2).map_unordered(abs, [-1, -2]))
     (pool,) = made

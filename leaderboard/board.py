@@ -104,9 +104,8 @@ class Board:
     @cached_property
     def by_column(self) -> dict[str, Board]:
         """By the name of each frozen planner that planned for models: the same data set with its rows alone."""
-        if self.control is None:
-            return {}
-        planned = {name: rows_of_column(self.control, name) for name in self.control.columns}
+        table = self.control
+        planned = {name: rows_of_column(table, name) for name in table.columns} if table is not None else {}
         return {
             name: replace(self, rows=tuple(rows), control=None, agreement=())
             for name, rows in planned.items()

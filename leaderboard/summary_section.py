@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from dmotion_bench.registry import environment_class, environment_names
@@ -117,9 +117,7 @@ def summary_shows(summary: Summary) -> str:
 def _trainings(summary: Summary) -> str:
     """How many trainings the models have in each world."""
     known = sorted({one.trainings for one in summary.standings})
-    if known[-1] == 1:
-        return "one training in each world"
-    return f"{TO.join(dict.fromkeys(map(str, (known[0], known[-1]))))} trainings of each in a world"
+    return f"{_extremes(known)} trainings of each in a world" if known[-1] > 1 else "one training in each world"
 
 
 def _explained(summary: Summary) -> list[str]:
@@ -172,7 +170,12 @@ def _between(one: Standing) -> str:
 def _counts(one: Standing) -> str:
     """The labels that were handed out in the worlds, the fewest and the most."""
     known = [row.label_count for row in one.rows if row.label_count is not None]
-    return TO.join(dict.fromkeys(f"{count:,}" for count in (min(known), max(known)))) if known else "?"
+    return _extremes(known) if known else "?"
+
+
+def _extremes(counts: Collection[int]) -> str:
+    """The lowest and the highest of some counts; the one that there is if all are the same."""
+    return TO.join(dict.fromkeys(f"{count:,}" for count in (min(counts), max(counts))))
 
 
 def shows(board: Board) -> str:

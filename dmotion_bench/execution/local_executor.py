@@ -149,7 +149,8 @@ def _nothing() -> None:
 def _process(context: BaseContext, started: list[ProcessPoolExecutor]) -> ProcessPoolExecutor:
     """One more pool of one process, which joins those that have been started.
 
-    An interruption waits until it is made: of the semaphores of one half made Python complains at its end.
+    An interruption waits until it is made. A half-made pool would leave semaphores behind, and Python warns of these at
+    its end.
     """
     with stop_between_steps() as asked:
         pool = ProcessPoolExecutor(1, mp_context=context, initializer=_become_worker, initargs=(dict(os.environ),))

@@ -231,7 +231,8 @@ class Table:
     ) -> Table:
         """A part of the table, or the table at another size.
 
-        Models on request are in it only if they are named, and models and worlds that no column named has only then.
+        Models on request are in it only if they are named. Where columns are named, models and worlds that none of them
+        has are left out, unless these are named, too.
 
         Raises:
             UnknownName: A model, a world or a column that it does not have.

@@ -25,13 +25,12 @@ from typing import Final
 from urllib.parse import quote
 
 from dmotion_bench.errors import ViewerError
-from dmotion_bench.loopback_server import LOOPBACK, NAMES, LoopbackServer, Served
+from dmotion_bench.loopback_server import LOOPBACK, NAMES, PATIENCE_S, LoopbackServer, Served
 
 SCENE: Final = "/scene.rrd"
 PAGE: Final = ("/", "/favicon.ico", "/re_viewer.js", "/re_viewer_bg.wasm")
 """All that Rerun's page consists of."""
 
-PATIENCE_S: Final = 30.0
 _ELSEWHERE: Final = re.compile(rb"<link\b[^>]*\bhttps?://[^>]*>")
 _POLICY: Final = (
     "default-src 'none'; script-src 'self' 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "

@@ -101,7 +101,7 @@ def report_tab(run: Path, folder: Path | None = None) -> Tab | None:
     report = read_report(folder or run / REPORT_FOLDER)
     if report is None:
         return None
-    charts = [chart for chart in _CHARTS if curves_of(report, chart.figure)]
+    charts = {chart: curves for chart in _CHARTS if (curves := curves_of(report, chart.figure))}
     parts: list[rrb.View | rrb.Container] = [rrb.TextDocumentView(origin=f"{ROOT}/figures", name="Figures")]
     if charts:
         views = (picture_view(one.path, one.title, round(WIDTH), round(HEIGHT)) for one in charts)
@@ -111,8 +111,7 @@ def report_tab(run: Path, folder: Path | None = None) -> Tab | None:
     def log(recording: rr.RecordingStream) -> None:
         text = rr.TextDocument(_figures(report), media_type="text/markdown")
         recording.log(f"{ROOT}/figures", text, static=True)
-        for one in charts:
-            curves = curves_of(report, one.figure)
+        for one, curves in charts.items():
             colors = {name: COLORS[number % len(COLORS)] for number, name in enumerate(curves)}
             widths = dict.fromkeys(curves, 1.5)
             log_chart(recording, one.path, curves, colors, widths, one.along, logarithmic=one.logarithmic)

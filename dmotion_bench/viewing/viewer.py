@@ -153,7 +153,8 @@ def open_live(*, web: bool) -> Iterator[LiveViewer]:
     with page_server(WEB_PORT) as (server, folder), _listening_program(options, LIVE_PORT, 0) as (process, ports):
         server.source_port = ports[0]
         server.take_over(ports[1], folder)
-        page, address = server.page_url(_source(ports[0])), _source(ports[0])
+        address = _source(ports[0])
+        page = server.page_url(address)
         yield LiveViewer(address=address, page=page, ports=(ports[0], server.port), process=process)
 
 

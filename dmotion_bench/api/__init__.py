@@ -18,6 +18,7 @@
     settings.py       settings as Python writes them
     sharing.py        share_push, share_pull, share_list: runs and data sets published by their hashes
     side_by_side.py   many trainings or scorings, in turn or several at a time
+    table_work.py     the parts of a whole table, from recordings to pages
     training.py       train: new, resumed, taken over from another label budget, or anew where the weights are damaged
     viewing.py        view: what there is to see of a data set, a run, a report or several runs
 

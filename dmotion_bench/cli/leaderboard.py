@@ -141,7 +141,7 @@ def check(
                 warn=lambda told: say(told, err=True),
             )
         except KeyboardInterrupt:
-            if many == 1 and executor in (None, "local"):
+            if finished[1] is None or (many == 1 and executor in (None, "local")):
                 raise
             raise Interrupted(
                 f"interrupted after {finished[0]} of {finished[1]} entries; the same command checks all of them again, "

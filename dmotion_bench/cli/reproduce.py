@@ -18,7 +18,8 @@ from dmotion_bench.specs import Preset
 if TYPE_CHECKING:
     from rich.progress import TaskID
 
-    from dmotion_bench.api.reproducing import Reproduced, Watch
+    from dmotion_bench.api.reproducing import Reproduced
+    from dmotion_bench.api.table_work import Watch
     from dmotion_bench.execution.job_progress import JobProgress
     from dmotion_bench.reproduction.cost import Cost, Line
     from dmotion_bench.reproduction.plan import Plan
@@ -138,7 +139,7 @@ def reproduce(
 @contextlib.contextmanager
 def _watching() -> Iterator[Watch]:
     """One table of progress: a line for each part, and one for each job that runs."""
-    from dmotion_bench.api.reproducing import Watch
+    from dmotion_bench.api.table_work import Watch
     from dmotion_bench.cli.progress import note, progress_bar
 
     parts: dict[str, TaskID] = {}  # the part that was counted last comes last: running jobs are its

@@ -1,6 +1,6 @@
 """What is left of a table, as jobs, and what they cost in hours of a core or of a GPU.
 
-The number of jobs is exact: ``dmotion_bench.api.reproducing`` runs these. Hours are computed from amounts and speeds;
+The number of jobs is exact: ``dmotion_bench.api.table_work`` runs these. Hours are computed from amounts and speeds;
 ``ASSUMPTIONS`` says how.
 """
 

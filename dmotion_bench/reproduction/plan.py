@@ -1,6 +1,6 @@
 """A table as jobs: recordings, trainings and scorings, in folders of a workspace, and which of them are done.
 
-Nothing here does any work. ``dmotion_bench.api.reproducing`` does it, and ``cost.py`` says what it takes; both count
+Nothing here does any work. ``dmotion_bench.api.table_work`` does it, and ``cost.py`` says what it takes; both count
 the same jobs.
 """
 
@@ -170,6 +170,7 @@ class Plan:
         table: Narrowed to what is asked for.
         name: Of the table; its pages are in a folder of this name.
         workspace: Where everything goes.
+        whole: What the table was narrowed from, which says where the pages are; None: the table is whole.
 
     Attributes:
         recordings: The data sets, each once.
@@ -177,8 +178,9 @@ class Plan:
         scorings: By column, in the order of the columns.
     """
 
-    def __init__(self, table: Table, name: str, workspace: Workspace) -> None:
+    def __init__(self, table: Table, name: str, workspace: Workspace, whole: Table | None = None) -> None:
         self.table, self.name, self.workspace = table, name, workspace
+        self._whole = whole or table
         by_world = {world.label: self._recording(world) for world in table.worlds}
         others = {world.label: self._recording(world.control_on) for world in table.worlds if world.control_on}
         self.trainings = [
@@ -234,7 +236,7 @@ class Plan:
     @property
     def _one_page(self) -> bool:
         """Whether the reports of a run can hold all columns: each holds control of one planner."""
-        return sum(column.overwrites for column in self.table.columns) <= 1
+        return sum(column.overwrites for column in self._whole.columns) <= 1
 
     def of_column(self, column: Column) -> list[Scoring]:
         """The scorings of a column."""

@@ -19,7 +19,7 @@ from small_tables import CONTROL, TABLE, Known
 
 import dmotion_bench as dm
 from dmotion_bench import registry
-from dmotion_bench.api import contract, reproducing
+from dmotion_bench.api import contract, reproducing, table_work
 from dmotion_bench.cli import progress, reproduce
 from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
@@ -84,12 +84,12 @@ def done(monkeypatch: pytest.MonkeyPatch) -> Counter[str]:
         (contract, "train_rows", "train"),
         (learning_table, "train", "whole trainings"),
         (side_by_side, "score_job", "score"),
-        (reproducing, "score_reference_job", "oracle"),
+        (table_work, "score_reference_job", "oracle"),
     ]
     for module, name, kind in places:
         monkeypatch.setattr(module, name, counting(kind, getattr(module, name)))
-    part = reproducing.leaderboard_part
-    monkeypatch.setattr(reproducing, "leaderboard_part", lambda name: counting("page", part(name)))
+    part = table_work.leaderboard_part
+    monkeypatch.setattr(table_work, "leaderboard_part", lambda name: counting("page", part(name)))
     return counted
 
 
@@ -223,7 +223,7 @@ def test_what_lacks_its_reference_or_its_page_is_left(
         return [dm.reproduce(table, workspace=tmp_path, dry_run=True).cost.jobs(kind) for kind in kinds]
 
     with monkeypatch.context() as patch:
-        patch.setattr(reproducing, "score_reference_job", lambda job: (job.data, "no memory."))
+        patch.setattr(table_work, "score_reference_job", lambda job: (job.data, "no memory."))
         made = dm.reproduce(table, workspace=tmp_path, workers=1)
     assert made.failures == {"control by oracle for first": "no memory."}
     assert (made.pages, done["score"]) == ((), 0)  # the model waits for its reference
@@ -329,7 +329,7 @@ def test_ctrl_c_says_how_to_go_on(
 
     monkeypatch.setenv("DMBENCH_WORKSPACE", str(tmp_path))
     monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {(registry.TABLES, "mine"): TABLE})
-    monkeypatch.setattr(reproducing, "record_recipe", interrupted)
+    monkeypatch.setattr(table_work, "record_recipe", interrupted)
     outcome = dmbench(["reproduce", "mine"], capsys, monkeypatch)
     assert outcome.code == 130
     assert "run the same command again to go on where it stopped, with '--dry-run' to see what is left" in outcome.err
@@ -359,7 +359,7 @@ def test_jobs_that_run_stand_beside_the_part_that_was_counted_last(
 
 def test_trainings_that_fail_in_two_worlds_are_two_failures() -> None:
     plan: Any = SimpleNamespace(workspace=None)
-    work = reproducing._Work(plan, reproducing.Hands(), reproducing.Watch())
+    work = table_work.TableWork(plan, reproducing.Hands(), table_work.Watch())
     row = learning_table.Row(model="dmotion", labels="one-shot")
 
     for why in ("no space", "no memory"):

@@ -15,6 +15,7 @@ from pretend_slurm import use_slurm
 
 from dmotion_bench.errors import UnknownName
 from dmotion_bench.execution.executors import make_executor
+from dmotion_bench.interrupts import INTERRUPTED
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.workspace import Workspace
 from leaderboard import check
@@ -81,7 +82,9 @@ def test_jobs_say_how_far_they_are(entries: Path, tmp_path: Path, monkeypatch: p
     assert not list(tmp_path.glob("check-*.json"))
 
 
-def test_ctrl_c_ends_all_and_says_how_to_go_on(entries: Path, tmp_path: Path) -> None:
+def test_ctrl_c_ends_all_and_says_how_to_go_on(entries: Path, tmp_path: Path, sound: Entry) -> None:
+    for number in range(60):  # enough that they are not all checked before Ctrl-C comes
+        write_entry(sound, entries).rename(entries / f"more-{number}.json")
     process = start_dmbench(("leaderboard", "check", str(entries), "--workers", "2"), tmp_path)
     children: list[psutil.Process] = []
     while len(children) < 3:  # two workers, and what tracks their resources
@@ -91,8 +94,19 @@ def test_ctrl_c_ends_all_and_says_how_to_go_on(entries: Path, tmp_path: Path) ->
     process.send_signal(signal.SIGINT)
     outcome = finish(process)
     assert outcome.code == 130
-    assert "of 6 entries; the same command checks all of them again" in outcome.sentence()
+    assert "of 66 entries; the same command checks all of them again" in outcome.sentence()
     assert not psutil.wait_procs(children, timeout=20)[1]
+
+
+def test_ctrl_c_before_entries_are_counted_names_no_number(
+    entries: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dmotion_bench.api.leaderboard.leaderboard_check", interrupted)
+    outcome = dmbench(("leaderboard", "check", str(entries), "--workers", "2"), capsys, monkeypatch)
+    assert (outcome.code, outcome.sentence()) == (130, f"dmbench: {INTERRUPTED}\n")
 
 
 def test_the_command_says_the_same_for_any_workers(

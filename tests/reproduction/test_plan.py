@@ -91,6 +91,15 @@ def test_a_column_comes_with_the_models_and_the_recordings_that_it_needs(tmp_pat
     assert recorded(control.narrowed(columns=["prediction"], worlds=["planar_push"])) == ["planar_push-small"]
 
 
+def test_a_part_of_the_columns_has_the_pages_of_the_whole_table(tmp_path: Path) -> None:
+    whole = reproducing.plan_table(CONTROL, workspace=tmp_path)
+    assert [whole.page(column).name for column in CONTROL.columns] == ["first", "second"]
+    for column in CONTROL.columns:
+        part = reproducing.plan_table(CONTROL, columns=[column.name], workspace=tmp_path)
+        assert part.pages() == [(column,)]
+        assert part.page(column) == whole.page(column)
+
+
 @pytest.mark.parametrize(
     ("model", "shared"), [("laom", 1.0), ("laom-labels", 0.0), ("wm-ae", 0.5), ("idm-ed-cnn", 0.0), ("ed-cnn", 0.0)]
 )

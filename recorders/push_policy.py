@@ -10,7 +10,7 @@ direction by up to 30 degrees; any other is evenly distributed over the bounds. 
 from __future__ import annotations
 
 import math
-from typing import Protocol, cast, runtime_checkable
+from typing import Protocol, cast
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -37,9 +37,8 @@ class Pushing(ObjectEnvironment, Protocol):
         """The least and the greatest displacement that nothing cuts short [m]."""
 
 
-@runtime_checkable
 class Careful(Protocol):
-    """An environment where one step toward an object may lose it for good."""
+    """What an environment may tell where one step toward an object may lose it for good."""
 
     def careful_actions(self) -> Bool[np.ndarray, " a"]:
         """Which legal actions lose nothing; the policy goes toward an object by these alone."""
@@ -68,8 +67,8 @@ class PushPolicy:
             x, y = there[0] - here[0], there[1] - here[1]
             self._moves = moves = self._moves or world.moves.tolist()
             # The longer leg more often than the other, so that the way is no fixed zigzag.
-            if isinstance(env, Careful):
-                legal = np.flatnonzero(env.careful_actions()).tolist() or legal
+            if hasattr(env, "careful_actions"):  # a tenth of the time that isinstance takes
+                legal = np.flatnonzero(cast(Careful, env).careful_actions()).tolist() or legal
             weights = [max(0.0, moves[action][0] * x + moves[action][1] * y) ** 2 for action in legal]
             if sum(weights) > 0:
                 return legal[_drawn(weights, generator.random())]

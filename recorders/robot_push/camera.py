@@ -66,9 +66,11 @@ class Camera:
         seen = (points - self.eye) @ self.axes.T
         inverse_depth = 1.0 / seen[..., 2]
         middle = (self.size - 1) / 2
-        x = middle + self.focal_length * seen[..., 0] * inverse_depth
-        y = middle - self.focal_length * seen[..., 1] * inverse_depth
-        return np.stack([x, y, inverse_depth], axis=-1)
+        projected: Float[np.ndarray, "*n 3"] = np.empty_like(seen)  # np.stack takes as long as all the rest
+        projected[..., 0] = middle + self.focal_length * seen[..., 0] * inverse_depth
+        projected[..., 1] = middle - self.focal_length * seen[..., 1] * inverse_depth
+        projected[..., 2] = inverse_depth
+        return projected
 
     def inverse_depth_planes(
         self, normals: Float[np.ndarray, "f 3"], offsets: Float[np.ndarray, " f"]

@@ -19,8 +19,10 @@ from dmotion_bench.specs import MASK_BACKGROUND, MASK_FIRST_OBJECT, EnvSpec, Obj
 from recorders.distractors import SceneName, make_scene
 from recorders.pushing import PushingEnvironment, Snapshot, pushing_actions
 from recorders.robot_push import panda
+from recorders.robot_push.arm_layer import ArmLayer, ArmPose
 from recorders.robot_push.camera import Camera
-from recorders.robot_push.renderer import BACKGROUND, ArmLayer, ArmPose, Light, Picture, Renderer, Sprite
+from recorders.robot_push.renderer import BACKGROUND, Picture, Renderer
+from recorders.robot_push.samples import Light
 from recorders.robot_push.scene import (
     DISC_COLOR,
     DISC_RADIUS,
@@ -32,6 +34,7 @@ from recorders.robot_push.scene import (
     TABLE_THICKNESS,
 )
 from recorders.robot_push.solids import SOLIDS, box, prism
+from recorders.robot_push.sprite import Sprite
 from recorders.robot_push.table_physics import ROD_BOTTOM, Body, TablePhysics, load_bullet
 from recorders.table_lattice import Place
 from recorders.table_things import Drift, colored_objects
@@ -150,7 +153,7 @@ class RobotPush(PushingEnvironment):
         position = np.array([[*self.lattice.at(self._place), ROD_BOTTOM]])
         return ObjectStates(
             position=position,
-            orientation=UPRIGHT[None].copy(),
+            orientation=UPRIGHT[None],
             pixel=self._renderer.camera.project(position)[:, :2],
             visible=np.array([self._picture.agent_visible]),
         )
@@ -162,10 +165,10 @@ class RobotPush(PushingEnvironment):
             if sprite is not None:
                 pixel[index] = sprite.center
         return ObjectStates(
-            position=self._physics.positions.copy(),
-            orientation=self._physics.quaternions.copy(),
+            position=self._physics.positions,
+            orientation=self._physics.quaternions,
             pixel=pixel,
-            visible=self._picture.visible.copy(),
+            visible=self._picture.visible,
         )
 
     def close(self) -> None:

@@ -25,9 +25,10 @@ from jaxtyping import Float
 from dmotion_bench.recording.rollout import record_episode
 from dmotion_bench.specs import MASK_FIRST_OBJECT
 from recorders.push_policy import PushPolicy
+from recorders.robot_push.arm_layer import ArmPose
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.environment import RobotPush, table_renderer
-from recorders.robot_push.renderer import ArmPose, Light
+from recorders.robot_push.samples import Light
 from recorders.robot_push.scene import TABLE
 from recorders.robot_push.solids import SOLIDS
 from recorders.table_lattice import Place

@@ -14,8 +14,9 @@ from dmotion_bench.errors import PackageNotInstalled
 from dmotion_bench.specs import MASK_AGENT, MASK_FIRST_OBJECT
 from recorders.push_policy import PushPolicy
 from recorders.robot_push import RobotPush, panda
+from recorders.robot_push.arm_layer import rasterise
 from recorders.robot_push.camera import Camera
-from recorders.robot_push.renderer import SAMPLES, rasterise
+from recorders.robot_push.samples import SAMPLES
 from recorders.robot_push.scene import LATTICE, TABLE, TABLE_THICKNESS
 from recorders.robot_push.table_physics import ROD_BOTTOM, load_bullet
 
@@ -137,6 +138,32 @@ def test_visibility_is_the_share_of_the_silhouette_that_is_shown() -> None:
             hidden.append(visible < 1)
     assert any(hidden)
     env.close()
+
+
+@pytest.mark.parametrize("distractors", [0, 3])
+def test_a_picture_is_the_same_as_one_that_is_drawn_from_nothing(distractors: int) -> None:
+    env = RobotPush(distractors=distractors)
+    env.reset(seed=4)
+    generator, policy, kept = np.random.default_rng(0), PushPolicy(), 0
+    for _ in range(60):
+        env.step(policy(env, generator))
+        decals = env._renderer._shown[:distractors]
+        anew = env._make_renderer(env._renderer.camera, env._renderer.light)
+        expected = anew.picture(env._place, env._sprites, decals)
+        np.testing.assert_array_equal(env._picture.frame, expected.frame)
+        np.testing.assert_array_equal(env._picture.masks, expected.masks)
+        np.testing.assert_array_equal(env._picture.visible, expected.visible)
+        assert env._picture.agent_visible == expected.agent_visible
+        kept += len(env._renderer._patches)
+    assert kept > 60  # so that much of it was not drawn from nothing
+    env.close()
+
+
+def test_the_last_of_equally_near_triangles_is_seen() -> None:
+    triangle = np.array([[0.0, 0.0, 1.0], [6.0, 0.0, 1.0], [0.0, 6.0, 1.0]])
+    nearer = triangle + np.array([0.0, 0.0, 0.5])
+    for order, winner in (((triangle, triangle), 1), ((nearer, triangle), 0), ((triangle, nearer, nearer), 2)):
+        assert set(rasterise(np.stack(order), 8)[2].tolist()) == {winner}
 
 
 def test_a_triangle_covers_the_samples_whose_centres_lie_in_it() -> None:

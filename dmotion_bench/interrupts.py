@@ -18,9 +18,16 @@ ENDING: Final = tuple(one for one in signal.Signals if one.name in ("SIGTERM", "
 
 
 class _Received:
-    """The last signal that asked this process to end, if any."""
+    """The last signal that asked this process to end, if any, and how many have come so far."""
 
     number: int = 0
+    times: int = 0
+
+    @classmethod
+    def note(cls, number: int) -> None:
+        """One has come."""
+        cls.number = number
+        cls.times += 1
 
 
 def received() -> int:
@@ -28,9 +35,14 @@ def received() -> int:
     return _Received.number
 
 
+def times_received() -> int:
+    """How many signals have asked this process to end so far; a program of its own may have gone on after some."""
+    return _Received.times
+
+
 def interrupted_by(number: int) -> KeyboardInterrupt:
     """The interruption by a signal that another library has received."""
-    _Received.number = number
+    _Received.note(number)
     return KeyboardInterrupt()
 
 
@@ -45,7 +57,7 @@ def ended_like_ctrl_c() -> Iterator[None]:
     _Received.number = 0
 
     def interrupt(number: int, _frame: FrameType | None) -> None:
-        _Received.number = number
+        _Received.note(number)
         raise KeyboardInterrupt
 
     with _handled(interrupt, [number for number in ENDING if signal.getsignal(number) == signal.SIG_DFL]):
@@ -59,7 +71,7 @@ def stop_between_steps() -> Iterator[Callable[[], bool]]:
 
     def ask(number: int, _frame: FrameType | None) -> None:
         nonlocal asked
-        _Received.number = number
+        _Received.note(number)
         if asked:
             raise KeyboardInterrupt
         asked = True

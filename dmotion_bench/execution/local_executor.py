@@ -18,7 +18,7 @@ from typing import Final, cast
 from dmotion_bench.errors import DmbenchError
 from dmotion_bench.execution.executor import Executor, Job, JobQueue, Result, Sendable
 from dmotion_bench.execution.processes import NO_ROOM, end_with
-from dmotion_bench.interrupts import received, stop_between_steps
+from dmotion_bench.interrupts import stop_between_steps, times_received
 
 BEGINNINGS: Final = "dmotion_bench.execution.beginnings"
 """What the server of processes loads to leave Ctrl-C to the command, and to say nothing of one that comes too late."""
@@ -47,7 +47,7 @@ class LocalExecutor:
 
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
-        queue = JobQueue(jobs, "a worker process")
+        queue, before = JobQueue(jobs, "a worker process"), times_received()
         with _starting():
             context = _context(function)
         sent = Sendable(function)
@@ -70,7 +70,7 @@ class LocalExecutor:
                     break
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     pool, number, job = running.pop(future)
-                    if _was_ended(future.exception()):
+                    if _was_ended(future.exception(), asked=times_received() > before):
                         pool.shutdown()
                         idle.append(None)
                         queue.killed(number, job)
@@ -86,12 +86,12 @@ class LocalExecutor:
             _end(started)
 
 
-def _was_ended(error: BaseException | None) -> bool:
+def _was_ended(error: BaseException | None, *, asked: bool) -> bool:
     """Whether a job was lost with its worker, and not because this process was asked to end.
 
     A worker that is asked to end by a signal may come to its end in order, and send back that it was interrupted.
     """
-    return isinstance(error, BrokenProcessPool) or (isinstance(error, KeyboardInterrupt) and not received())
+    return isinstance(error, BrokenProcessPool) or (isinstance(error, KeyboardInterrupt) and not asked)
 
 
 @contextlib.contextmanager

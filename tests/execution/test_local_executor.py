@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import multiprocessing
 import os
+import signal
 import subprocess
 import sys
 import threading
@@ -22,6 +23,7 @@ from mortal_workers import (
     raises_what_cannot_be_sent,
 )
 
+from dmotion_bench import interrupts
 from dmotion_bench.errors import DmbenchError, UnknownName
 from dmotion_bench.execution import local_executor
 from dmotion_bench.execution.local_executor import LocalExecutor
@@ -35,7 +37,14 @@ def assert_no_pool_is_left() -> None:
     assert not multiprocessing.active_children()
 
 
-def test_a_worker_that_is_asked_to_end_costs_its_attempt_at_one_job(tmp_path: Path) -> None:
+@pytest.mark.parametrize("survived", [False, True])
+def test_a_worker_that_is_asked_to_end_costs_its_attempt_at_one_job(
+    survived: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(interrupts._Received, "number", 0)  # as it is again afterwards
+    if survived:  # by the program, which was asked to end before
+        with pytest.raises(KeyboardInterrupt), interrupts.ended_like_ctrl_c():
+            signal.raise_signal(signal.SIGTERM)
     done = LocalExecutor(2).map_unordered(InterruptedOnce(tmp_path / "asked"), [0, 1, 2])
     assert sorted(done) == [0, 1, 2]
     assert (tmp_path / "asked").exists()

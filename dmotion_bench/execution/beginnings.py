@@ -2,8 +2,9 @@
 
 A terminal sends Ctrl-C to the server, too, which would print a traceback below the command's last sentence. So would a
 fork that begins while its command ends: the semaphores that it was given are gone by then, or nobody tells it what to
-do. It can only end. Nothing else imports this module: to load it changes how a process heeds signals and tells of
-errors. The forks of the server heed Ctrl-C as ever, for they may be another library's.
+do. It can only end. So can the server whose command was interrupted as it asked for a fork. Nothing else imports this
+module: to load it changes how a process heeds signals and tells of errors. The forks of the server heed Ctrl-C as ever,
+for they may be another library's.
 """
 
 from __future__ import annotations
@@ -12,16 +13,20 @@ import os
 import pickle
 import signal
 import sys
-from multiprocessing import spawn, synchronize
+from multiprocessing import reduction, spawn, synchronize
 from types import FrameType, TracebackType
 
 _told = sys.excepthook
 _SERVER = os.getpid()
-_TOO_LATE = ((FileNotFoundError, synchronize.__file__), ((EOFError, pickle.UnpicklingError), spawn.__file__))
+_TOO_LATE = (
+    (FileNotFoundError, synchronize.__file__),
+    ((EOFError, pickle.UnpicklingError), spawn.__file__),
+    (EOFError, reduction.__file__),
+)
 
 
 def _tell(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
-    """As before, but for what befalls a process that begins too late."""
+    """As before, but for what befalls a process that begins, or is asked for, too late."""
     last = traceback
     while last is not None and last.tb_next is not None:
         last = last.tb_next

@@ -38,6 +38,33 @@ def test_a_process_that_nobody_tells_what_to_do_says_nothing(beginning: bytes) -
     assert (done.returncode, done.stdout, done.stderr) == (0, "1\n", "")
 
 
+_HALF_ASKED = """
+import socket
+import time
+import psutil
+from multiprocessing import forkserver
+from dmotion_bench.execution.local_executor import _context
+
+context = _context(len)
+server = psutil.Process(forkserver._forkserver._forkserver_pid)
+with socket.socket(socket.AF_UNIX) as client:
+    client.connect(forkserver._forkserver._forkserver_address)
+until = time.monotonic() + 60
+while server.status() != psutil.STATUS_ZOMBIE and time.monotonic() < until:
+    time.sleep(0.01)
+process = context.Process(target=int)  # as a program would that goes on
+process.start()
+process.join()
+print(process.exitcode)
+"""
+"""A command that is interrupted between its call to the server and what it asks for."""
+
+
+def test_a_server_that_is_called_and_asked_for_nothing_says_nothing() -> None:
+    done = subprocess.run([sys.executable, "-c", _HALF_ASKED], capture_output=True, text=True, timeout=120)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "0\n", "")
+
+
 _OTHERS = """
 import signal
 from multiprocessing import get_context

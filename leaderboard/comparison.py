@@ -6,6 +6,7 @@ Runs, whose samples are at hand, are compared by ``dmotion_bench/pairing.py``; t
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -51,8 +52,8 @@ def figures_by_samples(
 ) -> dict[str, dict[str, Any]]:
     """The figures of samples, to compare an entry's with.
 
-    An interval over fewer episodes than an interval takes today is there only where the entry has one: some of the
-    first entries have.
+    An interval over fewer episodes than an interval takes today is there only where the entry has one, and that of a
+    share that is all alike has no width where the entry's has none: some of the first entries are like that.
 
     Args:
         samples: Of any predictors.
@@ -65,6 +66,10 @@ def figures_by_samples(
     if short:
         earlier = figures_of(samples, predictor, resamples=resamples, fewest=EARLIER_FEWEST)
         found |= {name: earlier[name] for name in short}
+    for name, one in found.items():
+        given = said.get(name, {})
+        if one.std == 0 and given.get("low") == one.mean == given.get("high"):
+            found[name] = replace(one, low=one.mean, high=one.mean)
     return as_in_an_entry({name: one.to_json() for name, one in found.items()})
 
 

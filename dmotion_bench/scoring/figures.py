@@ -173,7 +173,11 @@ def _control(samples: pa.Table, over_episodes: Bootstraps) -> Figures:
         values[f"control_success[{limit}]"] = is_solved(distance[final], limit)
     values["control_lost"] = column(samples, "control_lost")[final].astype(np.float64)
     estimates = {name: bootstrap.mean(one) for name, one in values.items()}
-    return {name: estimate for name, estimate in estimates.items() if estimate is not None}
+    return {
+        name: estimate.of_share() if name.startswith("control_success") else estimate
+        for name, estimate in estimates.items()
+        if estimate is not None
+    }
 
 
 def _control_by_pictures(samples: pa.Table, over_episodes: Bootstraps) -> Figures:

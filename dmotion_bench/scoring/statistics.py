@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
 
@@ -54,6 +54,13 @@ class Estimate:
     high: float | None
     n: int
     episodes: int | None = None
+
+    def of_share(self) -> Estimate:
+        """The same of a share: where all cases are alike, no draw differs; the interval is Wilson's over episodes."""
+        if self.std or self.low is None or self.high is None or not self.episodes:
+            return self
+        low, high = wilson(self.mean, self.episodes)
+        return replace(self, low=min(low, self.mean), high=max(high, self.mean))
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in a report."""

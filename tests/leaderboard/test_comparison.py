@@ -19,12 +19,13 @@ from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.pairing import compare_runs, scored
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.differences import behind, better, differences, standing
+from dmotion_bench.scoring.figures import ROLLOUT_COLUMNS
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.report import Report, read_report, read_report_samples, write_report
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS, SampleRows
-from dmotion_bench.scoring.statistics import EpisodeBootstrap
+from dmotion_bench.scoring.statistics import EpisodeBootstrap, wilson
 from dmotion_bench.workspace import Workspace
-from leaderboard.comparison import difference_by_episode, sums_by_episode
+from leaderboard.comparison import difference_by_episode, figures_by_samples, sums_by_episode
 
 S0, S1, CSWM = "dmotion-grid_world-tiny-s0", "dmotion-grid_world-tiny-s1", "cswm-grid_world-tiny-10pct-s0"
 
@@ -336,6 +337,29 @@ def test_a_run_whose_samples_are_gone_is_not_compared(workspace: Workspace, caps
 
     assert " best " in lines[S1]
     assert "(" not in lines[CSWM].partition("10%")[2].replace("(4)", "")
+
+
+def test_the_interval_of_a_share_that_is_all_alike_may_be_that_of_the_first_entries() -> None:
+    samples = pa.table(
+        {
+            "predictor": ["model"] * 20,
+            "metric": ["control"] * 20,
+            "episode": np.arange(20),
+            "ahead": np.ones(20, np.int64),
+            "control_distance": np.linspace(0.3, 0.9, 20),
+            "control_lost": np.zeros(20),
+            **{name: np.full(20, np.nan) for name in ROLLOUT_COLUMNS},
+        }
+    )
+    now = figures_by_samples(samples, "model", {}, 100)["control_success"]
+    assert (now["mean"], now["low"]) == (0, 0)
+    assert now["high"] == pytest.approx(wilson(0, 20)[1])
+    for high, found in ((0, 0), (0.01, now["high"])):
+        said = {"control_success": now | {"high": high}}
+        assert figures_by_samples(samples, "model", said, 100)["control_success"]["high"] == found
+    said = {"control_distance[1]": {"low": 0.6, "high": 0.6}}
+    distance = figures_by_samples(samples, "model", said, 100)["control_distance[1]"]
+    assert distance["low"] < distance["high"]
 
 
 def test_control_is_paired_by_task() -> None:

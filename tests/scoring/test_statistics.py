@@ -58,6 +58,23 @@ def test_mean_std_and_n_are_the_samples_own() -> None:
     assert estimate.high == pytest.approx(6.0, abs=1e-9)
 
 
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_a_share_that_is_all_alike_has_an_interval_with_a_width(share: float) -> None:
+    alike = EpisodeBootstrap(np.arange(20) // 2).mean(np.full(20, share))
+    few = EpisodeBootstrap(np.arange(FEWEST_EPISODES - 1)).mean(np.full(FEWEST_EPISODES - 1, share))
+    other = EpisodeBootstrap(np.arange(20)).mean(np.arange(20) % 2.0)
+
+    assert alike is not None
+    assert few is not None
+    assert other is not None
+    assert alike.low == alike.high == share
+    bounds = (alike.of_share().low, alike.of_share().high)
+    assert bounds == pytest.approx(wilson(share, 10))  # episodes, not tasks
+    assert share in bounds
+    assert (few.of_share().low, few.of_share().high) == (None, None)
+    assert other.of_share() == other
+
+
 def test_the_order_of_the_samples_changes_no_interval() -> None:
     generator = np.random.default_rng(3)
     episode, values = np.repeat(np.arange(20), 7), generator.random(140)

@@ -10,7 +10,8 @@ from jaxtyping import Bool, Float, Float32, Int, UInt8, UInt32
 
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND
 from recorders.robot_push.camera import Camera
-from recorders.robot_push.samples import SAMPLES, Light, bounding_window, mean_of_samples, middle_labels, painted
+from recorders.robot_push.light import Light
+from recorders.robot_push.samples import SAMPLES, bounding_window, mean_of_samples, middle_labels, painted
 
 
 class ArmPose(NamedTuple):
@@ -67,9 +68,9 @@ def arm_layer(
     paints = painted(light.shade(colors[facing], normals[facing]), labels)[owners]
     fine, fine_depth = (samples_of_table.copy() for samples_of_table in table)
     fine.reshape(-1)[samples], fine_depth.reshape(-1)[samples] = paints, depth
-    window = bounding_window(samples, fine.shape[1])
-    touched = np.zeros((camera.size, camera.size), np.bool_)
     rows, columns = np.divmod(samples, fine.shape[1])
+    window = bounding_window(rows, columns)
+    touched = np.zeros((camera.size, camera.size), np.bool_)
     touched[rows // SAMPLES, columns // SAMPLES] = True
     return ArmLayer(
         window=window,
@@ -100,9 +101,9 @@ def rasterise(
 
     # Every row of a triangle's box, then every sample of a row: what is alike in a row is computed once.
     owner = np.repeat(np.arange(len(triangles)), extent[:, 1])
-    y = np.arange(len(owner)) + np.repeat(low[:, 1] - (np.cumsum(extent[:, 1]) - extent[:, 1]), extent[:, 1])
+    y = _counted(low[:, 1], extent[:, 1])
     width, from_y = extent[owner, 0], y - first[owner, 1]
-    x = np.arange(width.sum()) + np.repeat(low[owner, 0] - (np.cumsum(width) - width), width)
+    x = _counted(low[owner, 0], width)
     from_x, areas = x - np.repeat(first[owner, 0], width), np.repeat(area[owner], width)
     second = from_x * np.repeat(across[owner, 1], width) - np.repeat(from_y * across[owner, 0], width)
     third = np.repeat(from_y * along[owner, 0], width) - from_x * np.repeat(along[owner, 1], width)
@@ -123,3 +124,10 @@ def rasterise(
     samples = np.flatnonzero(last >= 0)
     winner = last[samples]
     return samples, depth[winner].astype(np.float32), owner[winner]
+
+
+def _counted(starts: Int[np.ndarray, " n"], counts: Int[np.ndarray, " n"]) -> Int[np.ndarray, " m"]:
+    """So many whole numbers from each start on, one series after the other."""
+    before = np.cumsum(counts) - counts
+    numbers: Int[np.ndarray, " m"] = np.arange(counts.sum()) + np.repeat(starts - before, counts)
+    return numbers

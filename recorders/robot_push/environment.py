@@ -21,8 +21,8 @@ from recorders.pushing import PushingEnvironment, Snapshot, pushing_actions
 from recorders.robot_push import panda
 from recorders.robot_push.arm_layer import ArmLayer, ArmPose
 from recorders.robot_push.camera import Camera
+from recorders.robot_push.light import Light
 from recorders.robot_push.renderer import BACKGROUND, Picture, Renderer
-from recorders.robot_push.samples import Light
 from recorders.robot_push.scene import (
     DISC_COLOR,
     DISC_RADIUS,

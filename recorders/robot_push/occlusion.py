@@ -28,7 +28,7 @@ from recorders.push_policy import PushPolicy
 from recorders.robot_push.arm_layer import ArmPose
 from recorders.robot_push.camera import Camera
 from recorders.robot_push.environment import RobotPush, table_renderer
-from recorders.robot_push.samples import Light
+from recorders.robot_push.light import Light
 from recorders.robot_push.scene import TABLE
 from recorders.robot_push.solids import SOLIDS
 from recorders.table_lattice import Place

@@ -19,10 +19,10 @@ from jaxtyping import Float, UInt8
 from dmotion_bench.specs import MASK_AGENT, MASK_BACKGROUND
 from recorders.robot_push.arm_layer import ArmLayer, ArmPose, arm_layer
 from recorders.robot_push.camera import Camera
+from recorders.robot_push.light import Light
 from recorders.robot_push.samples import (
     NOTHING,
     SAMPLES,
-    Light,
     labels_of,
     mean_of_samples,
     middle_labels,

@@ -2,43 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-
 import numpy as np
-from jaxtyping import Float, Int, UInt8, UInt32
+from jaxtyping import Int, UInt8, UInt32
 
 SAMPLES = 3  # along each side of a pixel; odd, so that the middle one is the pixel's centre
-AMBIENT, DIFFUSE = 0.6, 0.5
-LEVELS = 12
-"""Steps between a surface that the lamp grazes and one that faces it: the arm's many facets compress a third better."""
-
 NOTHING = np.float32(0.0)  # inverse depth of the background: infinitely far
 _EVEN_BYTES = np.uint32(0x00FF00FF)  # every second channel of a paint, with room for a sum
-
-
-@dataclass(frozen=True, kw_only=True)
-class Light:
-    """A lamp far away.
-
-    Attributes:
-        direction: Toward the lamp, of any length.
-    """
-
-    direction: tuple[float, float, float] = (0.3, 0.4, 1.2)
-
-    @cached_property
-    def _toward(self) -> Float[np.ndarray, "3"]:
-        toward: Float[np.ndarray, "3"] = np.asarray(self.direction) / np.linalg.norm(self.direction)
-        return toward
-
-    def shade(self, colors: Float[np.ndarray, "#n 3"], normals: Float[np.ndarray, "n 3"]) -> UInt8[np.ndarray, "n 3"]:
-        """The colours (RGB, 0-255) of surfaces of these colours (RGB, 0-1) with these unit normals."""
-        facing = np.rint(LEVELS * np.clip(normals @ self._toward, 0.0, None)) / LEVELS
-        brightness = AMBIENT + DIFFUSE * facing
-        lit: Float[np.ndarray, "n 3"] = np.clip(colors * brightness[..., None], 0.0, 1.0)
-        shades: UInt8[np.ndarray, "n 3"] = np.rint(255 * lit).astype(np.uint8)
-        return shades
 
 
 def painted(colors: UInt8[np.ndarray, "*n 3"], labels: UInt8[np.ndarray, "*n"]) -> UInt32[np.ndarray, "*n"]:
@@ -59,11 +28,10 @@ def in_samples(window: tuple[slice, slice]) -> tuple[slice, slice]:
     return rows, columns
 
 
-def bounding_window(samples: Int[np.ndarray, " n"], width: int) -> tuple[slice, slice]:
-    """The rows and columns that some samples lie in, given as flat numbers in a picture of this width."""
-    if not len(samples):
+def bounding_window(rows: Int[np.ndarray, " n"], columns: Int[np.ndarray, " n"]) -> tuple[slice, slice]:
+    """The rows and columns that some samples lie in."""
+    if not len(rows):
         return slice(0, 0), slice(0, 0)
-    rows, columns = np.divmod(samples, width)
     return slice(int(rows.min()), int(rows.max()) + 1), slice(int(columns.min()), int(columns.max()) + 1)
 
 

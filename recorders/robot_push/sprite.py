@@ -7,12 +7,14 @@ both are linear over the picture.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt32
 
 from recorders.robot_push.camera import Camera
-from recorders.robot_push.samples import NOTHING, SAMPLES, Light, in_samples, painted
+from recorders.robot_push.light import Light
+from recorders.robot_push.samples import NOTHING, SAMPLES, in_samples, painted
 from recorders.robot_push.solids import Solid, rotation_matrix
 
 
@@ -64,7 +66,7 @@ def sprite_of(
         return None
     window = (slice(top, bottom), slice(left, right))
     fine = in_samples(window)
-    rows, columns = (_axis(side) for side in fine)
+    rows, columns = (_axis(size)[side] for side in fine)
 
     normals = solid.normals @ turn.T
     planes, behind = camera.inverse_depth_planes(normals, solid.offsets + normals @ position)
@@ -91,11 +93,11 @@ def sprite_of(
     )
 
 
-def _axis(side: slice) -> Float32[np.ndarray, " n"]:
-    """Where the samples of a row or a column lie [px]."""
-    places: Float32[np.ndarray, " n"] = ((np.arange(side.start, side.stop) - (SAMPLES - 1) / 2) / SAMPLES).astype(
-        np.float32
-    )
+@lru_cache
+def _axis(size: int) -> Float32[np.ndarray, " n"]:
+    """Where the samples of a row or a column of so many pixels lie [px]."""
+    middle = (SAMPLES - 1) / 2
+    places: Float32[np.ndarray, " n"] = ((np.arange(size * SAMPLES) - middle) / SAMPLES).astype(np.float32)
     return places
 
 

@@ -355,11 +355,10 @@ def test_the_interval_of_a_share_that_is_all_alike_may_be_that_of_the_first_entr
     assert (now["mean"], now["low"]) == (0, 0)
     assert now["high"] == pytest.approx(wilson(0, 20)[1])
     for high, found in ((0, 0), (0.01, now["high"])):
-        said = {"control_success": now | {"high": high}}
-        assert figures_by_samples(samples, "model", said, 100)["control_success"]["high"] == found
-    said = {"control_distance[1]": {"low": 0.6, "high": 0.6}}
-    distance = figures_by_samples(samples, "model", said, 100)["control_distance[1]"]
-    assert distance["low"] < distance["high"]
+        said = {"control_success": now | {"high": high}, "control_distance[1]": {"low": 0.6, "high": 0.6}}
+        figures = figures_by_samples(samples, "model", said, 100)
+        assert figures["control_success"]["high"] == found
+        assert figures["control_distance[1]"]["low"] < figures["control_distance[1]"]["high"]
 
 
 def test_control_is_paired_by_task() -> None:

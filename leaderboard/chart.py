@@ -24,6 +24,9 @@ RING: Final = 7.2
 WIDTH, HEIGHT = 460, 330
 LEFT, RIGHT, TOP, BOTTOM = 56, 14, 12, 46
 NAME_HEIGHT: Final = 13
+TEXT_WIDTH: Final = 6.4
+"""Of a letter of a name, about."""
+
 PLACES: Final = 9
 """Along a line at which its name may stand."""
 
@@ -79,7 +82,7 @@ class Series:
         dash: ``"solid"``, ``"dashed"`` or ``"dotted"``.
         hollow: Whether the markers are drawn empty.
         marked: Which points have a marker; all by default.
-        labelled: Whether its name stands at its end.
+        labelled: Whether its name stands beside it: at its end, or where fewer lines run.
     """
 
     name: str
@@ -159,7 +162,7 @@ def line_chart(
         joined(_guide(guide, up) for guide in guides),
         joined(_series(one, across, up) for one in series if one.points),
         joined(_names(guides, up, lambda name, height: _free_place(name, height, series, across, up))),
-        joined(_names(_ends(series), up)),
+        joined(_line_names(series, across, up)),
         viewBox=f"0 0 {WIDTH} {HEIGHT}",
         width=WIDTH if sized else None,
         height=HEIGHT if sized else None,
@@ -254,51 +257,77 @@ def _guide(guide: Guide, up: _Scale) -> Markup:
     return element("path", d=f"M{LEFT} {up(guide.y):.1f}H{WIDTH - RIGHT}", class_="guide line")
 
 
-def _ends(series: Sequence[Series]) -> list[Guide]:
-    return [Guide(one.name, one.points[-1].y) for one in series if one.labelled and one.points]
-
-
 def _free_place(name: str, height: float, series: Sequence[Series], across: _Scale, up: _Scale) -> float:
     """Where a name has the fewest lines behind it: the middle of the text, in pixels; of equal places the leftmost."""
-    half = 3.2 * len(name)
+    half = TEXT_WIDTH * len(name) / 2
 
     def covered(middle: float) -> int:
-        left, right = middle - half, middle + half
-        return sum(_crosses(one, left, right, height, across, up) for one in series)
+        return _crossed(series, middle - half, middle + half, height, across, up)
 
     first, last = LEFT + half + 4, WIDTH - RIGHT - half - 4
     steps = range(PLACES) if last > first else range(1)
     return min((first + (last - first) * step / (PLACES - 1) for step in steps), key=covered)
 
 
-def _crosses(one: Series, left: float, right: float, foot: float, across: _Scale, up: _Scale) -> bool:
-    """Whether a series runs through the box of a text."""
+def _crossed(series: Sequence[Series], left: float, right: float, foot: float, across: _Scale, up: _Scale) -> int:
+    """How many series run through the box of a text."""
+    spans = (_heights(one, left, right, across, up) for one in series)
+    return sum(bool(span) and min(span) <= foot + RADIUS and max(span) >= foot - NAME_HEIGHT for span in spans)
+
+
+def _heights(one: Series, left: float, right: float, across: _Scale, up: _Scale) -> list[float]:
+    """The heights at which a series enters, bends and leaves within a stretch, in pixels."""
     places = [(across(point.x), up(point.y)) for point in one.points]
+    heights = []
     for (x0, y0), (x1, y1) in zip(places, places[1:] or places, strict=False):
         begin, end = max(left, min(x0, x1)), min(right, max(x0, x1))
-        if begin > end:
-            continue
-        within = [y0 + (y1 - y0) * ((x - x0) / (x1 - x0) if x1 != x0 else share) for x, share in ((begin, 0), (end, 1))]
-        if min(within) <= foot + RADIUS and max(within) >= foot - NAME_HEIGHT:
-            return True
-    return False
+        if begin <= end:
+            ends = ((begin, 0), (end, 1))
+            heights += [y0 + (y1 - y0) * ((x - x0) / (x1 - x0) if x1 != x0 else share) for x, share in ends]
+    return heights
 
 
-def _names(named: Sequence[Guide], up: _Scale, middle: Callable[[str, float], float] | None = None) -> Iterator[Markup]:
-    """What lines are called, each name above its line, or higher where another name stands there.
+def _names(named: Sequence[Guide], up: _Scale, middle: Callable[[str, float], float]) -> Iterator[Markup]:
+    """What guides are called, each name above its line, or higher where another name stands there.
 
     Args:
-        named: The lines.
+        named: The guides.
         up: Their heights.
-        middle: Where the middle of a name is, by the name and the foot of its text; at the right end if left out.
+        middle: Where the middle of a name is, by the name and the foot of its text.
     """
     free = math.inf
     for guide in sorted(named, key=lambda one: one.y):
-        place = min(up(guide.y) - 4, free)
-        free = place - NAME_HEIGHT
-        x = WIDTH - RIGHT if middle is None else middle(guide.name, place)
-        anchor = "end" if middle is None else "middle"
-        yield element("text", guide.name, x=round(x, 1), y=round(place, 1), text_anchor=anchor, class_="name")
+        foot = min(up(guide.y) - 4, free)
+        free = foot - NAME_HEIGHT
+        yield _name(guide.name, middle(guide.name, foot), foot, "middle")
+
+
+def _line_names(series: Sequence[Series], across: _Scale, up: _Scale) -> Iterator[Markup]:
+    """What labelled lines are called: at their ends as guides are, or above the line where fewer others run."""
+    free = math.inf
+    for one in sorted((one for one in series if one.labelled and one.points), key=lambda one: one.points[-1].y):
+        wide = TEXT_WIDTH * len(one.name)
+        others = [other for other in series if other is not one]
+        places = list(_along(one, wide, across, up))
+        at_end = places[0] = (places[0][0], min(places[0][1], free))
+        right, foot = min(places, key=lambda at: _crossed(others, at[0] - wide, at[0], at[1], across, up))
+        if (right, foot) == at_end:
+            free = foot - NAME_HEIGHT
+        yield _name(one.name, right, foot, "end")
+
+
+def _along(one: Series, wide: float, across: _Scale, up: _Scale) -> Iterator[tuple[float, float]]:
+    """Where a text of a width may stand above a line: its right end and its foot in pixels, the rightmost first."""
+    last = float(WIDTH - RIGHT)
+    first = min(LEFT + wide, last)
+    for step in range(PLACES):
+        right = last + (first - last) * step / (PLACES - 1)
+        heights = _heights(one, right - wide, right, across, up) or [up(one.points[-1].y)]
+        yield right, min(heights) - 4
+
+
+def _name(text: str, x: float, foot: float, anchor: str) -> Markup:
+    return element("text", text, x=round(x, 1), y=round(foot, 1), text_anchor=anchor, class_="name")
 
 
 def _series(one: Series, across: _Scale, up: _Scale) -> Markup:

@@ -303,7 +303,7 @@ def _names(named: Sequence[Guide], up: _Scale, middle: Callable[[str, float], fl
 
 
 def _line_names(series: Sequence[Series], across: _Scale, up: _Scale) -> Iterator[Markup]:
-    """What labelled lines are called: at their ends as guides are, or above the line where fewer others run."""
+    """What labelled lines are called: at their ends as guides are, or beside the line where fewer others run."""
     free = math.inf
     for one in sorted((one for one in series if one.labelled and one.points), key=lambda one: one.points[-1].y):
         wide = TEXT_WIDTH * len(one.name)
@@ -317,13 +317,14 @@ def _line_names(series: Sequence[Series], across: _Scale, up: _Scale) -> Iterato
 
 
 def _along(one: Series, wide: float, across: _Scale, up: _Scale) -> Iterator[tuple[float, float]]:
-    """Where a text of a width may stand above a line: its right end and its foot in pixels, the rightmost first."""
+    """Where a text of a width may stand: its right end and its foot in pixels, above a line and then below it."""
     last = float(WIDTH - RIGHT)
     first = min(LEFT + wide, last)
-    for step in range(PLACES):
-        right = last + (first - last) * step / (PLACES - 1)
-        heights = _heights(one, right - wide, right, across, up) or [up(one.points[-1].y)]
-        yield right, min(heights) - 4
+    rights = [last + (first - last) * step / (PLACES - 1) for step in range(PLACES)]
+    heights = [_heights(one, right - wide, right, across, up) or [up(one.points[-1].y)] for right in rights]
+    yield from ((right, min(own) - 4) for right, own in zip(rights, heights, strict=True))
+    below = ((right, max(own) + NAME_HEIGHT) for right, own in zip(rights, heights, strict=True))
+    yield from ((right, foot) for right, foot in below if foot < HEIGHT - BOTTOM)
 
 
 def _name(text: str, x: float, foot: float, anchor: str) -> Markup:

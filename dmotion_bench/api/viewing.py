@@ -12,7 +12,7 @@ from typing import Final, Self, SupportsIndex
 
 from dmotion_bench.api.settings import SPLITS, require_one_of, whole
 from dmotion_bench.errors import DmbenchError, UsageError
-from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.run import Run, require_own_files
 from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
 from dmotion_bench.scoring.transfer import fitting, report_folder
 from dmotion_bench.specs import SplitName
@@ -279,6 +279,7 @@ def follower_of(targets: Sequence[Target]) -> Follower:
         raise UsageError("--live follows one training or one recording; name its run or its data set.")
     if target.kind == "data set":
         return RecordingFollower(target.path, Manifest.read(target.path).spec)
+    require_own_files(target.path)
     return TrainingFollower(target.path)
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DatasetError, RunError, ShareCorrupt, ShareMissing, UsageError
+from dmotion_bench.errors import DatasetError, DatasetMissing, RunError, ShareCorrupt, ShareMissing, UsageError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.arriving import Files, arriving, refused, settle, take
 from dmotion_bench.sharing.place import DATASETS, HASH, RUNS, Place, damaged
@@ -284,12 +284,14 @@ def _lacking(target: Path, manifest: Manifest, files: Files) -> Files:
     """The labels that a data set which is here lacks.
 
     Raises:
-        UsageError: It is another data set, or damaged.
+        UsageError: It is another data set, or none that can be opened, or damaged.
     """
     try:
         here = "" if target.is_symlink() else Manifest.read(target).fingerprint
-    except DatasetError:
+    except DatasetMissing:
         here = ""
+    except DatasetError as error:
+        raise UsageError(f"{shown(str(target))} is there already, and cannot be opened: {error}") from None
     if here != manifest.fingerprint:
         raise UsageError(f"{shown(str(target))} is there already, and is another data set; {_ANOTHER}.")
     lacking = dict[str, tuple[str, FileFacts]]()

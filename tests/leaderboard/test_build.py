@@ -147,3 +147,21 @@ def test_an_outdated_entry_of_a_run_is_taken_away_and_nothing_else(
     assert of_another_run.exists()
     assert renamed.exists()
     assert (folder / "notes.json").read_text() == "mine"
+
+
+@pytest.mark.parametrize("name", ["entries", "entries/references", "entries/theirs.json"])
+def test_no_link_leads_out_of_a_leaderboard(tmp_path: Path, name: str) -> None:
+    """What is written through one would replace or delete files of another folder."""
+    out = tmp_path / "out"
+    build([], [], out)
+    (out / name).rename(tmp_path / "elsewhere") if (out / name).exists() else (tmp_path / "elsewhere").touch()
+    (out / name).symlink_to(tmp_path / "elsewhere")
+    before = sorted(tmp_path.rglob("*"))
+
+    with pytest.raises((EntryInvalid, UsageError), match=rf"{name}.* is a link that leads out of the leaderboard's"):
+        build([], [], out)
+    if name != "entries/references":  # which are read by their hashes
+        with pytest.raises(EntryInvalid, match="leads out of the leaderboard's folder"):
+            read_entries(out)
+
+    assert sorted(tmp_path.rglob("*")) == before

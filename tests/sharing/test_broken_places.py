@@ -20,6 +20,7 @@ from dmotion_bench.errors import (
     DmbenchError,
     PlaceUnreachable,
     RunCorrupt,
+    RunError,
     RunMissing,
     ShareCorrupt,
     ShareMissing,
@@ -296,9 +297,21 @@ def test_what_a_link_in_a_run_leads_to_is_not_published(
     path = workspace.runs / "known" / name
     path.rename(tmp_path / "secret")
     path.symlink_to(tmp_path / "secret")
-    with pytest.raises(UsageError, match=rf"{name}.* leads out of the run's folder by a link"):
+    with pytest.raises(RunError, match=rf"{name}.* is a link that leads out of the run's folder"):
         dm.share_push("known", folder.address)
     assert folder.files() == {}
+
+
+def test_labels_are_not_fetched_into_a_folder_that_leads_elsewhere(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    dm.share_push("noise", folder.address)
+    dm.share_pull(fingerprint(workspace), folder.address, labels=False, workspace=outsider.root)
+    (tmp_path / "elsewhere").mkdir()
+    (outsider.data / "noise/labels").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match=r"is there already, and cannot be opened: .*labels' is a link that leads out"):
+        dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
+    assert not list((tmp_path / "elsewhere").iterdir())
 
 
 def test_a_run_whose_folder_is_a_link_is_published(workspace: Workspace, folder: Published, tmp_path: Path) -> None:

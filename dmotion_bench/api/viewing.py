@@ -33,7 +33,7 @@ from dmotion_bench.viewing.report import telling_episodes
 from dmotion_bench.viewing.run import run_scene
 from dmotion_bench.viewing.scene import Scene, write_scene
 from dmotion_bench.viewing.target import Target, find_target
-from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
+from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window, wait_for
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, in_workspace, listed
 
@@ -77,7 +77,7 @@ class Served:
 
     def wait(self) -> None:
         """Wait until the page is not served any more, as when its process was ended."""
-        self._viewer.process.wait()
+        wait_for(self._viewer.process)
 
     def close(self) -> None:
         """Stop serving."""

@@ -28,6 +28,7 @@ from dmotion_bench.viewing.page_server import page_server
 
 WEB_PORT, LIVE_PORT = 9090, 9876
 START_SECONDS = 30.0
+LOOK_SECONDS = 0.2
 LIFE_SECONDS = 300.0
 """Of a viewer without a window: nobody could close it if it hung."""
 
@@ -107,7 +108,7 @@ def show_window(rrd: Path) -> None:
     """
     require_display()
     with _program("--bind", LOOPBACK, "--port", "auto", "--hide-welcome-screen", str(rrd)) as (process, log):
-        if process.wait() != 0:
+        if wait_for(process) != 0:
             raise ViewerError(f"Rerun's window could not be opened: {_reason(log)} Try '--web'.")
 
 
@@ -226,6 +227,17 @@ def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
             yield process, log
         finally:
             _end(process)
+
+
+def wait_for(process: subprocess.Popen[bytes]) -> int:
+    """Wait until a program has ended; its exit code.
+
+    A signal that comes right before ``waitpid``, or that the system hands to another thread, does not wake who waits
+    there: Python would act upon it once the program has ended, which may be never.
+    """
+    while (code := process.poll()) is None:
+        time.sleep(LOOK_SECONDS)
+    return code
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -18,6 +17,7 @@ from dmotion_bench.scoring.transfer import fitting, report_folder
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.temporary import temporary_folder
 from dmotion_bench.viewing.animation import STEPS, animate, write_animation
 from dmotion_bench.viewing.comparison import (
     MOST,
@@ -161,7 +161,7 @@ def view(
             )
         return show(targets[0].path, web=web)
     with contextlib.ExitStack() as stack:
-        written = file or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dmbench-view-"))) / "scene.rrd"
+        written = file or stack.enter_context(temporary_folder()) / "scene.rrd"
         write_scene_of(targets, written, episodes, split, other, place)
         served = show(written, web=web, stack=stack) if web or file is None else None
     return served if web else file

@@ -15,7 +15,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,6 +23,7 @@ from pathlib import Path
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.loopback_server import LOOPBACK
+from dmotion_bench.storage.temporary import temporary_folder
 from dmotion_bench.viewing.page_server import page_server
 
 WEB_PORT, LIVE_PORT = 9090, 9876
@@ -212,8 +212,8 @@ def _listening_program(
 @contextlib.contextmanager
 def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     """Rerun running, and the file that its messages go to."""
-    with tempfile.TemporaryDirectory(prefix="dmbench-view-") as folder:
-        log = Path(folder) / "log"
+    with temporary_folder() as folder:
+        log = folder / "log"
         with log.open("wb") as messages:
             process = subprocess.Popen(
                 [sys.executable, "-m", "dmotion_bench.viewing.guard", *options],

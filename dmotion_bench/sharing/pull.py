@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -15,7 +16,9 @@ from dmotion_bench.sharing.arriving import Files, arriving, refused, settle, tak
 from dmotion_bench.sharing.place import DATASETS, HASH, RUNS, Place, damaged
 from dmotion_bench.sharing.push import FILES, Kind, Tell, labels_stand, read_standing, standing_name
 from dmotion_bench.sharing.run_share import LARGEST_MANIFEST, RunShare
+from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.check import check_dataset
+from dmotion_bench.storage.lock import held
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
 from dmotion_bench.wording import command, shown
@@ -222,6 +225,7 @@ def pull_dataset(
         ShareMissing: It is not there.
         ShareCorrupt: It is not what its hashes say.
         UsageError: Another data set has its name here.
+        FolderInUse: Another process writes into that data set.
         PlaceUnreachable: The place does not answer.
     """
     standing = standing_name(place, fingerprint)
@@ -254,7 +258,9 @@ def pull_dataset(
 
     if target.exists() or target.is_symlink():
         lacking = _lacking(target, manifest, files)
-        fetched = take(place, lacking, target, told)
+        with held(target) if lacking else contextlib.nullcontext():
+            remove_leftovers(target / LABELS)
+            fetched = take(place, lacking, target, told)
         here = all(shard_path(target, LABELS, index).is_file() for index in range(len(manifest.shards)))
         return _with(replace(pulled, labels=here), fetched)
     with arriving(workspace.data, f"dataset-{fingerprint[:16]}") as folder:

@@ -184,8 +184,8 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         EntryInvalid: Its report is of weights or data that the run no longer has.
     """
     folder = path / REPORT_FOLDER if folder is None else folder
-    report, samples = scored(path, folder)
     run = Run.open(path)
+    report, samples = scored(path, folder)
     trained_on = report.dataset.get("trained_on", report.dataset)
     if (
         run.result is None

@@ -169,7 +169,8 @@ def repair(
     from dmotion_bench.workspace import Workspace
 
     workspace = Workspace.current()
-    for place in (workspace.data, *([] if dataset is None else [dataset.parent])):
+    named = [] if dataset is None else [dataset, workspace.data / dataset]  # either may be a link to another disk
+    for place in dict.fromkeys([workspace.data.resolve(), *(one.resolve().parent for one in named)]):
         for path in finish_interrupted(place):
             note(f"{path} is there again: its repair was killed at its end. The damaged original is beside it.")
     folder = workspace.dataset(dataset)

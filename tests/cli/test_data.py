@@ -177,12 +177,15 @@ def test_another_version_of_the_format(run: Run, folder: Path) -> None:
         assert "'dmbench/9'" in outcome.sentence()
 
 
-@pytest.mark.parametrize("how", ["by name", "by path", "as the only one"])
+@pytest.mark.parametrize("how", ["by name", "by path", "as the only one", "on another disk"])
 def test_a_repair_that_was_killed_at_its_end_is_finished(
     tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
     """The damaged original is moved away already, and nothing stands in its place."""
-    path = write_noise(tmp_path / "data" / "noise").path
+    path = write_noise(tmp_path / ("disk" if how == "on another disk" else "data") / "noise").path
+    if how == "on another disk":
+        (tmp_path / "data").mkdir()
+        (tmp_path / "data/noise").symlink_to(path)
     (path / "video/shard-00001.mcap").write_bytes(b"nothing left")
     rename, killed = Path.rename, False
 
@@ -199,8 +202,8 @@ def test_a_repair_that_was_killed_at_its_end_is_finished(
             salvage(path)
     assert not path.exists()
     monkeypatch.delenv(QUIET, raising=False)
-    words = {"by name": ["noise"], "by path": [str(path)], "as the only one": []}[how]
+    words = {"by path": [str(path)], "as the only one": []}.get(how, ["noise"])
     said = run("repair", *words)
-    assert (said.code, said.out.strip()) == (0, f"{path} is sound; nothing was changed.")
+    assert (said.code, said.out.strip()) == (0, f"{tmp_path / 'data/noise'} is sound; nothing was changed.")
     assert "noise is there again: its repair was killed at its end" in said.err
     assert [one.name for one in sorted(path.parent.iterdir())] == ["damaged", "noise"]

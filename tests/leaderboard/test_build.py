@@ -149,6 +149,17 @@ def test_an_outdated_entry_of_a_run_is_taken_away_and_nothing_else(
     assert (folder / "notes.json").read_text() == "mine"
 
 
+def test_a_report_that_lies_elsewhere_is_left_out_and_it_is_said(workspace: Workspace, tmp_path: Path) -> None:
+    run = workspace.all_runs()[0]
+    (run / "report").rename(tmp_path / "elsewhere")
+    (run / "report").symlink_to(tmp_path / "elsewhere")
+
+    built = build([run], [], tmp_path / "out")
+
+    assert built.measured == 0
+    assert "report' is a link that leads out of the run's folder" in built.left_out[run.name]
+
+
 @pytest.mark.parametrize("name", ["entries", "entries/references", "entries/theirs.json"])
 def test_no_link_leads_out_of_a_leaderboard(tmp_path: Path, name: str) -> None:
     """What is written through one would replace or delete files of another folder."""

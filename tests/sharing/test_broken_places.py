@@ -331,10 +331,15 @@ def test_what_does_not_fit_is_not_begun(
         dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
 
 
-def test_nothing_damaged_is_published(workspace: Workspace, folder: Published) -> None:
+def test_nothing_damaged_is_published(workspace: Workspace, made: Workspace, folder: Published) -> None:
     shard = workspace.data / "noise/video/shard-00001.mcap"
     shard.write_bytes(bytes(len(shard.read_bytes())))
     with pytest.raises(DatasetCorrupt, match="is not what was recorded, so it is not published"):
+        dm.share_push("noise", folder.address)
+    shard.unlink()
+    shutil.copyfile(made.data / "noise/video/shard-00001.mcap", shard)
+    (workspace.data / "noise/labels/shard-00001.mcap").unlink()  # with one missing, the others are not passed over
+    with pytest.raises(DatasetCorrupt, match=r"labels/shard-00001.mcap' is not what was recorded"):
         dm.share_push("noise", folder.address)
     best = workspace.runs / "known/best.safetensors"
     best.write_bytes(best.read_bytes()[:-1] + b"\0")

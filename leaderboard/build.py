@@ -25,6 +25,7 @@ from dmotion_bench.scoring.transfer import fitting, transfer_folders
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
+from dmotion_bench.storage.links import require_within
 from dmotion_bench.wording import command, shown
 from leaderboard.action_texts import actions_of
 from leaderboard.comparison import as_in_an_entry, scored, sums_by_episode
@@ -81,10 +82,12 @@ def build(
 
     Raises:
         EntryInvalid: A given entry is none.
-        UsageError: The folder holds a page of another kind.
+        UsageError: The folder holds a page of another kind, or what is written into it would be written elsewhere.
     """
     if (out / PAGE).exists() and not (out / SCHEMA).exists():
         raise UsageError(f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'.")
+    for inner in (out / ENTRIES, out / ENTRIES / REFERENCES):
+        require_within(inner, out, "leaderboard", UsageError)
     found: dict[str, Entry] = {}
     own: list[Entry] = []
     left_out: dict[str, str] = {}
@@ -181,8 +184,8 @@ def entry_of_run(path: Path, folder: Path | None = None, *, earlier: Path | None
         EntryInvalid: Its report is of weights or data that the run no longer has.
     """
     folder = path / REPORT_FOLDER if folder is None else folder
-    report, samples = scored(path, folder)
     run = Run.open(path)
+    report, samples = scored(path, folder)
     trained_on = report.dataset.get("trained_on", report.dataset)
     if (
         run.result is None

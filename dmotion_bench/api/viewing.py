@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import tempfile
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,12 +11,13 @@ from typing import Final, Self, SupportsIndex
 
 from dmotion_bench.api.settings import SPLITS, require_one_of, whole
 from dmotion_bench.errors import DmbenchError, UsageError
-from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.run import Run, require_own_files
 from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
 from dmotion_bench.scoring.transfer import fitting, report_folder
 from dmotion_bench.specs import SplitName
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.temporary import temporary_folder
 from dmotion_bench.viewing.animation import STEPS, animate, write_animation
 from dmotion_bench.viewing.comparison import (
     MOST,
@@ -33,7 +33,7 @@ from dmotion_bench.viewing.report import telling_episodes
 from dmotion_bench.viewing.run import run_scene
 from dmotion_bench.viewing.scene import Scene, write_scene
 from dmotion_bench.viewing.target import Target, find_target
-from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window
+from dmotion_bench.viewing.viewer import WebViewer, require_display, serve_web, show_window, wait_for
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, in_workspace, listed
 
@@ -77,7 +77,7 @@ class Served:
 
     def wait(self) -> None:
         """Wait until the page is not served any more, as when its process was ended."""
-        self._viewer.process.wait()
+        wait_for(self._viewer.process)
 
     def close(self) -> None:
         """Stop serving."""
@@ -161,7 +161,7 @@ def view(
             )
         return show(targets[0].path, web=web)
     with contextlib.ExitStack() as stack:
-        written = file or Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="dmbench-view-"))) / "scene.rrd"
+        written = file or stack.enter_context(temporary_folder()) / "scene.rrd"
         write_scene_of(targets, written, episodes, split, other, place)
         served = show(written, web=web, stack=stack) if web or file is None else None
     return served if web else file
@@ -279,6 +279,7 @@ def follower_of(targets: Sequence[Target]) -> Follower:
         raise UsageError("--live follows one training or one recording; name its run or its data set.")
     if target.kind == "data set":
         return RecordingFollower(target.path, Manifest.read(target.path).spec)
+    require_own_files(target.path)
     return TrainingFollower(target.path)
 
 

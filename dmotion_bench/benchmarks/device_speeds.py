@@ -6,11 +6,9 @@ device, ``train[dmotion-compact]@cuda``. The same functions run on the CPU, wher
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -25,6 +23,7 @@ from dmotion_bench.learning.data.batches import FramesOnDevice, TripletBatches
 from dmotion_bench.learning.data.triplets import TripletSet
 from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
+from dmotion_bench.storage.temporary import temporary_folder
 
 _EPISODES, _FRAMES = 100, 30  # of the cache that is loaded from
 _BATCH: Final = 32
@@ -128,8 +127,8 @@ def wait_for(device: torch.device) -> None:
 @contextmanager
 def _cached_scene() -> Iterator[TripletSet]:
     lengths = np.full(_EPISODES, _FRAMES)
-    with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-        file = CacheFile(folder=Path(folder), fingerprint="0" * 64, count=int(lengths.sum()), height=SIZE, width=SIZE)
+    with temporary_folder() as folder:
+        file = CacheFile(folder=folder, fingerprint="0" * 64, count=int(lengths.sum()), height=SIZE, width=SIZE)
 
         def make() -> None:
             file.build(scene_frames(_FRAMES, episode) for episode in range(_EPISODES))

@@ -6,12 +6,10 @@ Every registered environment and model is measured. A package can add speeds of 
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -36,6 +34,7 @@ from dmotion_bench.registry import environment_names, model_class, model_names, 
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.frame_cache import CacheFile, FrameCache
+from dmotion_bench.storage.temporary import temporary_folder
 from dmotion_bench.wording import sentence
 
 _FRAME_BYTES: Final = SIZE * SIZE * 3
@@ -113,8 +112,8 @@ def recording(environment: str, seconds: float) -> Result:
 def loading(seconds: float) -> Result:
     """Triplets a second gathered at random from a warm cache, on one core."""
     lengths = np.full(_EPISODES, _FRAMES)
-    with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-        file = CacheFile(folder=Path(folder), fingerprint="0" * 64, count=int(lengths.sum()), height=SIZE, width=SIZE)
+    with temporary_folder() as folder:
+        file = CacheFile(folder=folder, fingerprint="0" * 64, count=int(lengths.sum()), height=SIZE, width=SIZE)
 
         def make() -> None:
             file.build(scene_frames(_FRAMES, episode) for episode in range(_EPISODES))
@@ -137,13 +136,13 @@ def streaming(seconds: float, environment: str | None = None) -> Result:
         seconds: How long is measured.
         environment: Whose recording is read; None for the made-up scene.
     """
-    with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
+    with temporary_folder() as folder:
         if environment is None:
-            name, dataset = "stream_triplets", scene_dataset(Path(folder) / "scene", _EPISODES, _FRAMES)
+            name, dataset = "stream_triplets", scene_dataset(folder / "scene", _EPISODES, _FRAMES)
         else:
             name, recipe = f"stream_triplets[{environment}]", recipe_for(environment, Preset.SMALL, tasks=0)
             few = replace(recipe, episodes=_RECORDED)
-            dataset = Dataset.open(record_dataset(Path(folder) / "recorded", few).dataset)
+            dataset = Dataset.open(record_dataset(folder / "recorded", few).dataset)
         height, width = dataset.spec.height, dataset.spec.width
         count = int((dataset.lengths - 2).clip(0).sum())
         triplets = StreamedTriplets.of_split(dataset, "train", window=count // 4)

@@ -162,11 +162,18 @@ def repair(
     as_json: AsJson = False,
 ) -> None:
     """Repair a data set: record damaged files again, or keep what can be read where that is not possible."""
+    from dmotion_bench.cli.progress import note
     from dmotion_bench.execution.local_executor import local_executor
     from dmotion_bench.recording.restore import repair_dataset
+    from dmotion_bench.storage.repair import finish_interrupted
     from dmotion_bench.workspace import Workspace
 
-    folder = Workspace.current().dataset(dataset)
+    workspace = Workspace.current()
+    named = [] if dataset is None else [dataset, workspace.data / dataset]  # either may be a link to another disk
+    for place in dict.fromkeys([workspace.data.resolve(), *(one.resolve().parent for one in named)]):
+        for path in finish_interrupted(place):
+            note(f"{path} is there again: its repair was killed at its end. The damaged original is beside it.")
+    folder = workspace.dataset(dataset)
     with _progress("checking") as show:
         done = repair_dataset(folder, local_executor(workers), show)
     lost = list(done.salvaged.lost) if done.salvaged else []

@@ -100,7 +100,7 @@ def live_recording(
     """
     from dmotion_bench.cli.progress import note
     from dmotion_bench.viewing.live import recording_to
-    from dmotion_bench.viewing.viewer import open_live
+    from dmotion_bench.viewing.viewer import open_live, wait_for
 
     if not (window or web):
         with recording_to(title, blueprint, file=save) as recording:
@@ -117,4 +117,4 @@ def live_recording(
         if linger():
             note("Done; close Rerun's window or press Ctrl-C to end." if window else "Done; Ctrl-C ends it.")
             with contextlib.suppress(KeyboardInterrupt):
-                viewer.process.wait()
+                wait_for(viewer.process)

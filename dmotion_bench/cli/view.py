@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -64,6 +63,7 @@ def view(
     """Show a data set, a run, a report or several runs in Rerun."""
     from dmotion_bench.api import viewing
     from dmotion_bench.errors import UsageError
+    from dmotion_bench.storage.temporary import temporary_folder
     from dmotion_bench.workspace import Workspace
 
     if split is not None:
@@ -99,8 +99,8 @@ def view(
         viewing.write_animation_of(targets, save, episode or [], part, other, steps, workspace)
         say(f"{save}")
         return
-    with tempfile.TemporaryDirectory(prefix="dmbench-view-") as folder:
-        file = save or Path(folder) / "scene.rrd"
+    with temporary_folder() as folder:
+        file = save or folder / "scene.rrd"
         viewing.write_scene_of(targets, file, episode or [], part, other, workspace)
         if save is not None:
             say(f"{save}")

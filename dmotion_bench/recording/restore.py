@@ -20,7 +20,7 @@ from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.recording.policies import OWN
 from dmotion_bench.recording.session import ShardJob, environment_facts, record_shard
 from dmotion_bench.registry import is_environment
-from dmotion_bench.storage.atomic import sync_folder
+from dmotion_bench.storage.atomic import remove_leftovers, sync_folder
 from dmotion_bench.storage.check import CheckReport, cache_damages, check_dataset
 from dmotion_bench.storage.dataset import Dataset, corrupt
 from dmotion_bench.storage.lock import held
@@ -69,6 +69,7 @@ def repair_dataset(
             "it in a folder and copy that."
         )
     report = check_dataset(path, on_progress)
+    _remove_leftovers(path)
     lost = report.shards if report.labels != "missing" else tuple(range(len(report.manifest.shards)))
     if report.cache:
         _delete_cache(path)
@@ -90,6 +91,14 @@ def repair_dataset(
     if not report.cache and any(cache_damages(Dataset.open(path))):  # which shows only where all else is sound
         _delete_cache(path)
     return Repaired(how="cache" if report.cache and not lost else "restored", shards=lost)
+
+
+def _remove_leftovers(path: Path) -> None:
+    """Delete what a repair that was killed left in the data set, which may be sound by then."""
+    with held(path):
+        shutil.rmtree(path / _STAGING, ignore_errors=True)
+        for folder in (path, path / VIDEO, path / LABELS):
+            remove_leftovers(folder)
 
 
 def _delete_cache(path: Path) -> None:

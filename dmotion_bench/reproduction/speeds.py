@@ -6,7 +6,6 @@ They are measured in a moment each, or taken from a file that ``dmbench bench --
 
 from __future__ import annotations
 
-import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -27,6 +26,7 @@ from dmotion_bench.registry import model_class
 from dmotion_bench.reproduction.recording import Recording
 from dmotion_bench.scoring.control import ControlScoring, score_control
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.storage.temporary import temporary_folder
 
 _IMAGES: Final = 8
 _FEW_EPISODES, _FEW_STEPS = 10, 2  # of the data set that the oracle is timed on
@@ -123,8 +123,8 @@ class Speeds:
     def _oracle(self, recording: Recording, scoring: ControlScoring) -> float:
         few = recording.few(_FEW_EPISODES)
         scoring = replace(scoring, tasks=1, steps=_FEW_STEPS)
-        with tempfile.TemporaryDirectory(prefix="dmbench-") as folder:
-            recorded = record_dataset(Path(folder) / "few", few)
+        with temporary_folder() as folder:
+            recorded = record_dataset(folder / "few", few)
             dataset = Dataset.open(recorded.dataset)
             if not dataset.tasks():
                 raise DmbenchError(f"{_FEW_EPISODES} episodes of {recording.world.label} hold no control task.")

@@ -14,7 +14,7 @@ from typing import BinaryIO, Final, Protocol
 
 from dmotion_bench.addresses import PROTOCOLS, remote_address
 from dmotion_bench.errors import DmbenchError, PlaceUnreachable, ShareCorrupt, UsageError
-from dmotion_bench.storage.atomic import atomic_file
+from dmotion_bench.storage.atomic import atomic_file, remove_leftovers
 from dmotion_bench.storage.limits import LONGEST_NAME
 from dmotion_bench.storage.object_store import ObjectStore
 from dmotion_bench.storage.shard import FileFacts
@@ -139,6 +139,7 @@ class FolderPlace:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._tidied = set[Path]()
 
     @property
     def address(self) -> str:
@@ -183,12 +184,16 @@ class FolderPlace:
         return sorted(one.name for one in self._listed(folder) if one.is_dir(follow_symlinks=False))
 
     def write(self, file: Path, name: str) -> None:
-        """Put a copy of a file there.
+        """Put a copy of a file there; what killed processes left beside it is deleted.
 
         Raises:
             ShareCorrupt: A folder above it is a link.
         """
-        with file.open("rb") as source, atomic_file(self._file(name)) as target:
+        there = self._file(name)
+        if there.parent not in self._tidied:
+            remove_leftovers(there.parent)
+            self._tidied.add(there.parent)
+        with file.open("rb") as source, atomic_file(there) as target:
             shutil.copyfileobj(source, target, _PIECE)
 
     def remove(self, name: str) -> None:

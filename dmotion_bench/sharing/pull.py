@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -9,13 +10,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DatasetError, RunError, ShareCorrupt, ShareMissing, UsageError
+from dmotion_bench.errors import DatasetError, DatasetMissing, RunError, ShareCorrupt, ShareMissing, UsageError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.arriving import Files, arriving, refused, settle, take
 from dmotion_bench.sharing.place import DATASETS, HASH, RUNS, Place, damaged
 from dmotion_bench.sharing.push import FILES, Kind, Tell, labels_stand, read_standing, standing_name
 from dmotion_bench.sharing.run_share import LARGEST_MANIFEST, RunShare
+from dmotion_bench.storage.atomic import remove_leftovers
 from dmotion_bench.storage.check import check_dataset
+from dmotion_bench.storage.lock import held
 from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import LABELS, VIDEO, FileFacts, file_facts, shard_path
 from dmotion_bench.wording import command, shown
@@ -222,6 +225,7 @@ def pull_dataset(
         ShareMissing: It is not there.
         ShareCorrupt: It is not what its hashes say.
         UsageError: Another data set has its name here.
+        FolderInUse: Another process writes into that data set.
         PlaceUnreachable: The place does not answer.
     """
     standing = standing_name(place, fingerprint)
@@ -254,7 +258,9 @@ def pull_dataset(
 
     if target.exists() or target.is_symlink():
         lacking = _lacking(target, manifest, files)
-        fetched = take(place, lacking, target, told)
+        with held(target) if lacking else contextlib.nullcontext():
+            remove_leftovers(target / LABELS)
+            fetched = take(place, lacking, target, told)
         here = all(shard_path(target, LABELS, index).is_file() for index in range(len(manifest.shards)))
         return _with(replace(pulled, labels=here), fetched)
     with arriving(workspace.data, f"dataset-{fingerprint[:16]}") as folder:
@@ -284,12 +290,14 @@ def _lacking(target: Path, manifest: Manifest, files: Files) -> Files:
     """The labels that a data set which is here lacks.
 
     Raises:
-        UsageError: It is another data set, or damaged.
+        UsageError: It is another data set, or none that can be opened, or damaged.
     """
     try:
         here = "" if target.is_symlink() else Manifest.read(target).fingerprint
-    except DatasetError:
+    except DatasetMissing:
         here = ""
+    except DatasetError as error:
+        raise UsageError(f"{shown(str(target))} is there already, and cannot be opened: {error}") from None
     if here != manifest.fingerprint:
         raise UsageError(f"{shown(str(target))} is there already, and is another data set; {_ANOTHER}.")
     lacking = dict[str, tuple[str, FileFacts]]()

@@ -13,6 +13,7 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.place import DATASETS, RUNS, Place, plain_name
 from dmotion_bench.sharing.run_share import RunShare, share_of
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.limits import LARGEST_MANIFEST
 from dmotion_bench.storage.manifest import TABLES, Manifest
@@ -124,7 +125,8 @@ def push_dataset(place: Place, dataset: Dataset, *, labels: bool, mend: bool, te
     _require_plain("data set", dataset.name)
     standing = standing_name(place, dataset.fingerprint)
     folder = f"{DATASETS}/{dataset.fingerprint}/{standing or dataset.name}"
-    kinds = (VIDEO, LABELS) if labels and _has_labels(dataset) else (VIDEO,)
+    there = labels_state(dataset.path, dataset.manifest) == "present"
+    kinds = (VIDEO, LABELS) if labels and there else (VIDEO,)
     sent = dict[str, tuple[Path, FileFacts]]()
     files = {kind: _shards(dataset, kind) for kind in kinds}
     total = sum(map(len, files.values())) + len(TABLES) + 1
@@ -187,10 +189,6 @@ def read_standing(place: Place, folder: str, fingerprint: str) -> Manifest:
 def _require_plain(kind: str, name: str) -> None:
     if not plain_name(name):
         raise UsageError(f"the {kind} is named {shown(name)}, which can be no name in a place; rename its folder.")
-
-
-def _has_labels(dataset: Dataset) -> bool:
-    return all(shard_path(dataset.path, LABELS, index).is_file() for index in range(len(dataset.manifest.shards)))
 
 
 def _shards(dataset: Dataset, kind: str) -> list[tuple[Path, FileFacts]]:

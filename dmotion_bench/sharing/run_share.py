@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from dmotion_bench.errors import RunMissing, UsageError
+from dmotion_bench.errors import RunMissing
 from dmotion_bench.learning.runs.checkpoint import LARGEST_WEIGHTS
 from dmotion_bench.learning.runs.manifest import LARGEST_RUN
 from dmotion_bench.learning.runs.run import Run
@@ -154,7 +154,6 @@ def share_of(run: Run) -> RunShare:
     Raises:
         RunMissing: It is not trained to its end.
         RunCorrupt: Its weights are damaged.
-        UsageError: One of its files is a link, or lies behind one.
     """
     result: Mapping[str, Any] | None = run.result
     if result is None:
@@ -163,16 +162,9 @@ def share_of(run: Run) -> RunShare:
             "'dmbench train' command that began it."
         )
     run.weights()
-    home = run.path.resolve()
     files = {path.relative_to(run.path): path for path in _files(run)}
-    for name, path in files.items():
-        if path.resolve() != home / name:
-            raise UsageError(
-                f"{shown(str(path))} leads out of the run's folder by a link, and nothing that lies elsewhere is "
-                "published; put the file itself there."
-            )
     return RunShare(
-        name=home.name,
+        name=run.path.resolve().name,
         weights=result["weights"],
         model=run.spec.model,
         dataset=run.spec.dataset,

@@ -10,6 +10,7 @@ from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.sharing.place import HASH, plain_name
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import read_json
+from dmotion_bench.storage.links import require_within
 from dmotion_bench.wording import shown
 
 SCHEMA: Final = "schema.json"
@@ -36,9 +37,18 @@ class Wanted:
 
 
 def entry_files(folder: Path) -> list[Path]:
-    """The files of a folder's entries, in the order of their names; of a leaderboard's folder those within it."""
+    """The files of a folder's entries, in the order of their names; of a leaderboard's folder those within it.
+
+    Raises:
+        EntryInvalid: A link among them leads out of the folder.
+    """
     is_leaderboard = (folder / SCHEMA).is_file() and (folder / ENTRIES).is_dir()
-    return sorted((folder / ENTRIES if is_leaderboard else folder).glob("*.json"))
+    place = folder / ENTRIES if is_leaderboard else folder
+    found = sorted(place.glob("*.json"))
+    for path in (place, *found):
+        if path.is_symlink():
+            require_within(path, folder, "leaderboard", EntryInvalid)
+    return found
 
 
 def wanted_by(entry: Path) -> Wanted | None:

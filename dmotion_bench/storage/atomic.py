@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from dmotion_bench.errors import StorageFull
-from dmotion_bench.storage.lock import OPENS_FOLDERS, try_lock
+from dmotion_bench.storage.lock import NO_LINK, OPENS_FOLDERS, try_lock
 
 TEMPORARY_SUFFIX = ".part"
 _TEMPORARY: Final = re.compile(rf".+\.[0-9a-f]{{8}}\{TEMPORARY_SUFFIX}")
@@ -112,7 +112,7 @@ def remove_leftovers(folder: Path) -> None:
             if not OPENS_FOLDERS:
                 leftover.unlink()  # Windows refuses while anybody has it open
                 continue
-            handle = os.open(leftover, os.O_RDWR | os.O_NONBLOCK)  # read-only, NFS would not lock it
+            handle = os.open(leftover, os.O_RDWR | os.O_NONBLOCK | NO_LINK)  # read-only, NFS would not lock it
             try:
                 if try_lock(handle):
                     leftover.unlink()

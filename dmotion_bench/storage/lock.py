@@ -25,7 +25,7 @@ ANOTHER_FOLDER: Final = ", or name another folder with '--out DIR'"
 """The way out of what is told where to write."""
 OPENS_FOLDERS: Final = os.name != "nt"
 """Whether a folder can be opened like a file. Windows cannot: there only the file beside the folder is locked."""
-_NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
+NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 """A link in a folder that came from somebody else would make the file that is locked anywhere."""
 _PAUSE_S: Final = 0.1
 _log = logging.getLogger(__name__)
@@ -103,7 +103,7 @@ class _LockFile:
             OSError: It can be neither made nor opened.
         """
         while True:
-            handle = os.open(self.path, os.O_RDWR | os.O_CREAT | _NO_LINK, 0o666)
+            handle = os.open(self.path, os.O_RDWR | os.O_CREAT | NO_LINK, 0o666)
             locked = try_lock(handle)
             if locked is False:
                 os.close(handle)

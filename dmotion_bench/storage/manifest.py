@@ -19,6 +19,7 @@ from typing import Any, Final
 from dmotion_bench.actions import actions_from_json, actions_to_json
 from dmotion_bench.errors import (
     DatasetCorrupt,
+    DatasetError,
     DatasetIncomplete,
     DatasetMissing,
     DatasetVersionUnknown,
@@ -30,6 +31,7 @@ from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.json_fields import Fields
 from dmotion_bench.storage.json_file import parse_json, read_json
 from dmotion_bench.storage.limits import LARGEST_MANIFEST, SHARD_ENTRY
+from dmotion_bench.storage.links import require_no_link_out
 from dmotion_bench.storage.manifest_check import check_episode_size, check_manifest, check_recipe, check_spec
 from dmotion_bench.storage.shard import FileFacts, shard_count
 from dmotion_bench.wording import command, shown
@@ -170,8 +172,10 @@ class Manifest:
             DatasetMissing: There is none.
             DatasetVersionUnknown: It is of another version of the format.
             DatasetCorrupt: It is not what ``write`` writes.
+            DatasetError: A link in the folder leads out of it.
         """
         path = dataset / DATASET_MANIFEST
+        require_no_link_out(path, "data set", DatasetError)
         try:
             content = read_json(path, largest=LARGEST_MANIFEST)
             _check_format(content.get("format"), dataset)

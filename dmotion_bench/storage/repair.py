@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DatasetCorrupt, DatasetError, LabelsNotAvailable, UsageError
+from dmotion_bench.errors import DatasetCorrupt, DatasetError, FolderInUse, LabelsNotAvailable, UsageError
 from dmotion_bench.storage.check import labels_state
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.limits import MOST_SHARD_EPISODES
@@ -119,14 +119,40 @@ def salvage(path: Path) -> Salvaged:
         except BaseException:
             original.rename(path)
             raise
-        with contextlib.suppress(OSError):  # not empty: another data set is being repaired
-            unfinished.parent.rmdir()
+        _remove_if_empty(unfinished.parent)
     numbers = {listed[place].episode for place in kept}
     return Salvaged(
         kept=tuple(sorted(numbers)),
         lost=tuple(number for number in range(manifest.recipe.episodes) if number not in numbers),
         original=original,
     )
+
+
+def finish_interrupted(datasets: Path) -> list[Path]:
+    """Give salvaged data sets their places whose repair was killed right before: their originals are moved away.
+
+    Args:
+        datasets: The folder that they stand in.
+
+    Returns:
+        Their places.
+    """
+    finished = []
+    for unfinished in sorted((datasets / _UNFINISHED).glob("*")):
+        path, original = datasets / unfinished.name, datasets / _ORIGINAL / unfinished.name
+        with contextlib.suppress(DatasetError, FileNotFoundError, FolderInUse), held(original):  # not of one at work
+            standing = Manifest.read(unfinished)
+            if standing.salvaged and standing.complete and not path.exists():
+                unfinished.rename(path)
+                finished.append(path)
+    if finished:
+        _remove_if_empty(datasets / _UNFINISHED)
+    return finished
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with contextlib.suppress(OSError):  # not empty: another data set is being repaired
+        folder.rmdir()
 
 
 def _clear(unfinished: Path) -> None:

@@ -16,7 +16,6 @@ from __future__ import annotations
 import contextlib
 import re
 import shutil
-import tempfile
 import threading
 import urllib.request
 from collections.abc import Iterator
@@ -26,6 +25,7 @@ from urllib.parse import quote
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.loopback_server import LOOPBACK, NAMES, PATIENCE_S, LoopbackServer, Served
+from dmotion_bench.storage.temporary import temporary_folder
 
 SCENE: Final = "/scene.rrd"
 PAGE: Final = ("/", "/favicon.ico", "/re_viewer.js", "/re_viewer_bg.wasm")
@@ -113,11 +113,11 @@ def page_server(wanted: int) -> Iterator[tuple[PageServer, Path]]:
         server = PageServer(wanted)
     except OSError:
         server = PageServer()
-    with server, tempfile.TemporaryDirectory(prefix="dmbench-page-") as folder:
+    with server, temporary_folder() as folder:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
         try:
-            yield server, Path(folder)
+            yield server, folder
         finally:
             server.shutdown()
             thread.join()

@@ -15,7 +15,6 @@ import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -24,10 +23,12 @@ from pathlib import Path
 
 from dmotion_bench.errors import ViewerError
 from dmotion_bench.loopback_server import LOOPBACK
+from dmotion_bench.storage.temporary import temporary_folder
 from dmotion_bench.viewing.page_server import page_server
 
 WEB_PORT, LIVE_PORT = 9090, 9876
 START_SECONDS = 30.0
+LOOK_SECONDS = 0.2
 LIFE_SECONDS = 300.0
 """Of a viewer without a window: nobody could close it if it hung."""
 
@@ -107,7 +108,7 @@ def show_window(rrd: Path) -> None:
     """
     require_display()
     with _program("--bind", LOOPBACK, "--port", "auto", "--hide-welcome-screen", str(rrd)) as (process, log):
-        if process.wait() != 0:
+        if wait_for(process) != 0:
             raise ViewerError(f"Rerun's window could not be opened: {_reason(log)} Try '--web'.")
 
 
@@ -211,8 +212,8 @@ def _listening_program(
 @contextlib.contextmanager
 def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     """Rerun running, and the file that its messages go to."""
-    with tempfile.TemporaryDirectory(prefix="dmbench-view-") as folder:
-        log = Path(folder) / "log"
+    with temporary_folder() as folder:
+        log = folder / "log"
         with log.open("wb") as messages:
             process = subprocess.Popen(
                 [sys.executable, "-m", "dmotion_bench.viewing.guard", *options],
@@ -226,6 +227,17 @@ def _program(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
             yield process, log
         finally:
             _end(process)
+
+
+def wait_for(process: subprocess.Popen[bytes]) -> int:
+    """Wait until a program has ended; its exit code.
+
+    A signal that comes right before ``waitpid``, or that the system hands to another thread, does not wake who waits
+    there: Python would act upon it once the program has ended, which may be never.
+    """
+    while (code := process.poll()) is None:
+        time.sleep(LOOK_SECONDS)
+    return code
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

@@ -9,11 +9,14 @@ from pathlib import Path
 
 import pytest
 from dmbench_command import Outcome, dmbench
+from killed_writes import Killed
 from noise_world import files_of, write_noise
 from storage.foreign import foxglove_file, steady, video
 
+from dmotion_bench.cli.progress import QUIET
 from dmotion_bench.recording.session import record_dataset
 from dmotion_bench.specs import DatasetRecipe
+from dmotion_bench.storage.repair import salvage
 
 Run = Callable[..., Outcome]
 RECIPE = DatasetRecipe(environment="grid_world", episodes=10, frames=5, tasks=2, shard_episodes=4)
@@ -172,3 +175,35 @@ def test_another_version_of_the_format(run: Run, folder: Path) -> None:
         outcome = run(command)
         assert outcome.code == 1
         assert "'dmbench/9'" in outcome.sentence()
+
+
+@pytest.mark.parametrize("how", ["by name", "by path", "as the only one", "on another disk"])
+def test_a_repair_that_was_killed_at_its_end_is_finished(
+    tmp_path: Path, run: Run, monkeypatch: pytest.MonkeyPatch, how: str
+) -> None:
+    """The damaged original is moved away already, and nothing stands in its place."""
+    path = write_noise(tmp_path / ("disk" if how == "on another disk" else "data") / "noise").path
+    if how == "on another disk":
+        (tmp_path / "data").mkdir()
+        (tmp_path / "data/noise").symlink_to(path)
+    (path / "video/shard-00001.mcap").write_bytes(b"nothing left")
+    rename, killed = Path.rename, False
+
+    def kill_after_the_first(moved: Path, to: Path) -> Path:
+        nonlocal killed
+        if killed:
+            raise Killed
+        killed = True
+        return rename(moved, to)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "rename", kill_after_the_first)
+        with pytest.raises(Killed):
+            salvage(path)
+    assert not path.exists()
+    monkeypatch.delenv(QUIET, raising=False)
+    words = {"by path": [str(path)], "as the only one": []}.get(how, ["noise"])
+    said = run("repair", *words)
+    assert (said.code, said.out.strip()) == (0, f"{tmp_path / 'data/noise'} is sound; nothing was changed.")
+    assert "noise is there again: its repair was killed at its end" in said.err
+    assert [one.name for one in sorted(path.parent.iterdir())] == ["damaged", "noise"]

@@ -147,3 +147,32 @@ def test_an_outdated_entry_of_a_run_is_taken_away_and_nothing_else(
     assert of_another_run.exists()
     assert renamed.exists()
     assert (folder / "notes.json").read_text() == "mine"
+
+
+def test_a_report_that_lies_elsewhere_is_left_out_and_it_is_said(workspace: Workspace, tmp_path: Path) -> None:
+    run = workspace.all_runs()[0]
+    (run / "report").rename(tmp_path / "elsewhere")
+    (run / "report").symlink_to(tmp_path / "elsewhere")
+
+    built = build([run], [], tmp_path / "out")
+
+    assert built.measured == 0
+    assert "report' is a link that leads out of the run's folder" in built.left_out[run.name]
+
+
+@pytest.mark.parametrize("name", ["entries", "entries/references", "entries/theirs.json"])
+def test_no_link_leads_out_of_a_leaderboard(tmp_path: Path, name: str) -> None:
+    """What is written through one would replace or delete files of another folder."""
+    out = tmp_path / "out"
+    build([], [], out)
+    (out / name).rename(tmp_path / "elsewhere") if (out / name).exists() else (tmp_path / "elsewhere").touch()
+    (out / name).symlink_to(tmp_path / "elsewhere")
+    before = sorted(tmp_path.rglob("*"))
+
+    with pytest.raises((EntryInvalid, UsageError), match=rf"{name}.* is a link that leads out of the leaderboard's"):
+        build([], [], out)
+    if name != "entries/references":  # which are read by their hashes
+        with pytest.raises(EntryInvalid, match="leads out of the leaderboard's folder"):
+            read_entries(out)
+
+    assert sorted(tmp_path.rglob("*")) == before

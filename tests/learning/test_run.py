@@ -12,7 +12,8 @@ import torch
 from known_model import result_of, spec_with
 
 from dmotion_bench.actions import Discrete
-from dmotion_bench.errors import InvalidSetting, RunCorrupt, RunMismatch
+from dmotion_bench.api.viewing import find_targets, follower_of
+from dmotion_bench.errors import InvalidSetting, RunCorrupt, RunError, RunMismatch
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.manifest import stored_actions
@@ -20,6 +21,7 @@ from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json
 from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.registry import model_class
+from dmotion_bench.workspace import Workspace
 
 
 @pytest.fixture
@@ -52,6 +54,36 @@ def test_in_a_workspace_that_has_moved(workspace: Path, tmp_path: Path) -> None:
     run_of(workspace, str(workspace / "data" / "grid"))
     moved = workspace.rename(tmp_path / "moved")
     assert Run.open(moved / "runs" / "one").dataset_path == moved / "data" / "grid"
+
+
+@pytest.mark.parametrize(
+    "name", ["run.json", "best.safetensors", "metrics.jsonl", "samples", "samples/00000001.png", "report", "new"]
+)
+def test_nothing_that_lies_elsewhere_is_read_or_written(workspace: Path, tmp_path: Path, name: str) -> None:
+    """A run may come from somebody else, and name a file or a folder of whoever opens it."""
+    run, elsewhere = run_of(workspace, "data/grid").path, tmp_path / "elsewhere"
+    path = run / name
+    elsewhere.mkdir()
+    path.parent.mkdir(exist_ok=True)
+    if path.exists():
+        path.rename(elsewhere / path.name)
+    path.symlink_to(elsewhere / path.name)
+    with pytest.raises(RunError, match=rf"{name}' is a link that leads out of the run's folder, to '.*/elsewhere/"):
+        Run.open(run)
+    with pytest.raises(RunError, match="leads out of the run's folder"):
+        follower_of(find_targets([run], Workspace(workspace)))
+
+
+def test_links_within_a_run_and_those_of_other_programs_are_left_alone(workspace: Path, tmp_path: Path) -> None:
+    """Weights & Biases links its own log, which is elsewhere, into its folder in the run."""
+    path = run_of(workspace, "data/grid").path
+    for name in ("wandb/run/logs", "tensorboard", ".git"):
+        (path / name).mkdir(parents=True)
+        (path / name / "debug-core.log").symlink_to(tmp_path / "core.log")
+    (path / "last.safetensors").symlink_to("best.safetensors")
+    path.rename(tmp_path / "one")
+    path.symlink_to(tmp_path / "one")
+    assert Run.open(path).dataset_path == workspace / "data" / "grid"
 
 
 def test_what_is_gone_is_named_as_it_was_given(workspace: Path) -> None:

@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as parquet
 import pytest
+from killed_writes import each_kill
 from noise_world import files_of
 
 from dmotion_bench.errors import DatasetCorrupt, RecordingFailed
@@ -187,3 +188,24 @@ def test_a_recording_that_does_not_repeat_has_no_tasks_after_a_salvage(
     (dataset / "video" / "shard-00002.mcap").unlink()
     assert repair_dataset(dataset).how == "salvaged"
     assert len(Dataset.open(dataset).tasks()) == tasks
+
+
+@pytest.mark.slow
+def test_a_repair_that_was_killed_at_any_moment_ends_as_one_that_was_not(tmp_path: Path) -> None:
+    recipe = dataclasses.replace(RECIPE, episodes=2, shard_episodes=1)
+    record_dataset(tmp_path / "sound", recipe)
+
+    def damage_and_repair(moment: int) -> None:
+        path = tmp_path / f"{moment}" / "d"
+        shutil.copytree(tmp_path / "sound", path)
+        (path / "video/shard-00000.mcap").write_bytes(b"nothing left")
+        (path / "episodes.parquet").write_bytes(b"")
+        repair_dataset(path)
+
+    for moment in each_kill(damage_and_repair):
+        path = tmp_path / f"{moment}" / "d"
+        (path / "repairing/video").mkdir(parents=True, exist_ok=True)  # the real kill tidies nothing up
+        repair_dataset(path)
+        assert files_of(path) == files_of(tmp_path / "sound"), moment
+        assert not (path / "repairing").exists()
+        assert [one.name for one in path.parent.iterdir()] == ["d"]

@@ -20,6 +20,7 @@ from dmotion_bench.errors import (
     DmbenchError,
     PlaceUnreachable,
     RunCorrupt,
+    RunError,
     RunMissing,
     ShareCorrupt,
     ShareMissing,
@@ -296,9 +297,21 @@ def test_what_a_link_in_a_run_leads_to_is_not_published(
     path = workspace.runs / "known" / name
     path.rename(tmp_path / "secret")
     path.symlink_to(tmp_path / "secret")
-    with pytest.raises(UsageError, match=rf"{name}.* leads out of the run's folder by a link"):
+    with pytest.raises(RunError, match=rf"{name}.* is a link that leads out of the run's folder"):
         dm.share_push("known", folder.address)
     assert folder.files() == {}
+
+
+def test_labels_are_not_fetched_into_a_folder_that_leads_elsewhere(
+    workspace: Workspace, outsider: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    dm.share_push("noise", folder.address)
+    dm.share_pull(fingerprint(workspace), folder.address, labels=False, workspace=outsider.root)
+    (tmp_path / "elsewhere").mkdir()
+    (outsider.data / "noise/labels").symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(UsageError, match=r"is there already, and cannot be opened: .*labels' is a link that leads out"):
+        dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
+    assert not list((tmp_path / "elsewhere").iterdir())
 
 
 def test_a_run_whose_folder_is_a_link_is_published(workspace: Workspace, folder: Published, tmp_path: Path) -> None:
@@ -318,10 +331,15 @@ def test_what_does_not_fit_is_not_begun(
         dm.share_pull(weights(workspace), folder.address, workspace=outsider.root)
 
 
-def test_nothing_damaged_is_published(workspace: Workspace, folder: Published) -> None:
+def test_nothing_damaged_is_published(workspace: Workspace, made: Workspace, folder: Published) -> None:
     shard = workspace.data / "noise/video/shard-00001.mcap"
     shard.write_bytes(bytes(len(shard.read_bytes())))
     with pytest.raises(DatasetCorrupt, match="is not what was recorded, so it is not published"):
+        dm.share_push("noise", folder.address)
+    shard.unlink()
+    shutil.copyfile(made.data / "noise/video/shard-00001.mcap", shard)
+    (workspace.data / "noise/labels/shard-00001.mcap").unlink()  # with one missing, the others are not passed over
+    with pytest.raises(DatasetCorrupt, match=r"labels/shard-00001.mcap' is not what was recorded"):
         dm.share_push("noise", folder.address)
     best = workspace.runs / "known/best.safetensors"
     best.write_bytes(best.read_bytes()[:-1] + b"\0")

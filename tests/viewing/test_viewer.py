@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import re
 import shutil
+import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 import urllib.error
 import urllib.parse
@@ -22,6 +24,7 @@ import rerun.blueprint as rrb
 from browser import CHROMIUM, browsing
 
 from dmotion_bench.errors import ViewerError
+from dmotion_bench.interrupts import ended_like_ctrl_c
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing import viewer as programs
 from dmotion_bench.viewing.dataset import dataset_scene
@@ -169,6 +172,25 @@ def test_what_ignores_a_request_to_end_is_ended(tmp_path: Path) -> None:
     programs._end(process)
     psutil.wait_procs([child], timeout=5)
     assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="this system has no signals to threads")
+def test_a_signal_ends_the_waiting_whatever_thread_receives_it() -> None:
+    """A page is served by threads, and one that comes right before the system call wakes it no more than this one."""
+    process = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(600)"])
+    missed = threading.Timer(20, process.kill)
+    aside = threading.Timer(0.5, lambda: signal.pthread_kill(threading.get_ident(), signal.SIGTERM))
+    missed.start()
+    try:
+        with ended_like_ctrl_c():
+            aside.start()
+            with pytest.raises(KeyboardInterrupt):
+                programs.wait_for(process)
+        assert process.poll() is None, "it was noticed only when the program had ended"
+    finally:
+        missed.cancel()
+        process.kill()
+        process.wait()
 
 
 def test_a_live_viewer_is_for_this_machine_alone_and_may_end_before_the_work() -> None:

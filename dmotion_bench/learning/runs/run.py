@@ -37,6 +37,7 @@ from dmotion_bench.learning.runs.manifest import ACTION_NAMES, RUN_FORMAT, Condi
 from dmotion_bench.learning.runs.source import changed_modules, code_of
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.links import require_no_link_out
 from dmotion_bench.storage.remote_copy import copy_folder
 from dmotion_bench.versions import versions
 from dmotion_bench.wording import command, shown
@@ -46,9 +47,20 @@ __all__ = ["Conditions", "Run", "RunSpec"]
 
 SAMPLES: Final = "samples"
 """The folder of the pictures."""
+TRACKED: Final = ("tensorboard", "wandb")
+"""Folders of programs that show curves (``training/tracking.py``); Weights & Biases links its own logs there."""
 
 AnyRun = TypeVar("AnyRun", bound="Run")
 """Run, or what a layer above makes of it."""
+
+
+def require_own_files(run: Path) -> None:
+    """See that no link in a run's folder leads out of it.
+
+    Raises:
+        RunError: One does.
+    """
+    require_no_link_out(run / RUN_MANIFEST, "run", RunError, others=TRACKED)
 
 
 class Run:
@@ -77,16 +89,18 @@ class Run:
         Raises:
             RunMissing: The folder holds no run.
             RunCorrupt: Its manifest cannot be read, or is of another version.
-            RunError: Its manifest may not be opened.
+            RunError: Its manifest may not be opened, or a link in the folder leads out of it.
         """
         path = Path(path)
         file = path / RUN_MANIFEST
         try:
+            require_own_files(path)
             return cls(path, read_manifest(file))
         except (FileNotFoundError, NotADirectoryError):
             raise RunMissing(f"no run in {shown(str(path))}; list them with 'dmbench list runs'.") from None
         except OSError as error:
-            raise RunError(f"{shown(str(file))} cannot be opened: {error.strerror}; make it readable.") from None
+            where = shown(str(error.filename or file))
+            raise RunError(f"{where} cannot be opened: {error.strerror}; make it readable.") from None
         except (ValueError, InvalidSetting) as error:
             raise RunCorrupt(
                 f"{shown(str(file))} cannot be read: {str(error).rstrip('.')}. Restore it from a copy, or delete the "
@@ -199,8 +213,10 @@ class Run:
                     f"trust that place, open it with {command('dmbench data info', address)} and run the command again."
                 )
             return Path(address)
-        given, workspace = Path(self.manifest["dataset_path"]), self.path.resolve().parent.parent
-        for candidate in (workspace / given, given, workspace / "data" / given.name):
+        given = Path(self.manifest["dataset_path"])
+        workspaces = [path.parent.parent for path in (self.path.resolve(), self.path.absolute())]  # it may be a link
+        inside = [workspace / given for workspace in workspaces]
+        for candidate in (*inside, given, *(workspace / "data" / given.name for workspace in workspaces)):
             if (candidate / DATASET_MANIFEST).is_file():
                 return candidate
         return given

@@ -34,6 +34,9 @@ FEWEST_EPISODES: Final = 5
 EARLIER_FEWEST: Final = 2
 """As many it took when the first results were published; some of these have intervals over fewer than today."""
 
+ROUNDING: Final = 1e-12
+"""A standard deviation of shares below this is rounding: all cases are alike."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
@@ -61,6 +64,18 @@ class Estimate:
             return self
         low, high = wilson(self.mean, self.episodes)
         return replace(self, low=min(low, self.mean), high=max(high, self.mean))
+
+    def of_shares_apart(self) -> Estimate:
+        """The same of a difference of two shares, which lies between -1 and 1.
+
+        Where it is alike in all cases, no draw of them differs. Wilson's interval over episodes then bounds the share
+        of other cases, each of which may differ by anything from -1 to 1.
+        """
+        if self.low is None or self.high is None or not self.episodes:
+            return self
+        _, others = (0.0, 0.0) if self.std > ROUNDING else wilson(0.0, self.episodes)
+        low, high = (self.mean + others * (bound - self.mean) for bound in (-1, 1))
+        return replace(self, low=max(-1.0, min(low, self.low)), high=min(1.0, max(high, self.high)))
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in a report."""

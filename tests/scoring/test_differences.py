@@ -1,4 +1,4 @@
-"""Paired differences of the shares of solved tasks."""
+"""Which of two models is better, and differences of their shares of solved tasks."""
 
 from __future__ import annotations
 
@@ -8,11 +8,43 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from dmotion_bench.scoring.differences import Difference, differences
+from dmotion_bench.scoring.differences import Difference, better, differences
+from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS
 from dmotion_bench.scoring.statistics import wilson
 from dmotion_bench.scoring.trainings import difference_over_trainings
 
 TASKS = 100
+HIGHER = {"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "inverse_accuracy", "hit_at_1", "reciprocal_rank"}
+LOWER = {"mse", *POSITION_COLUMNS, *OBJECT_COLUMNS, "motion_shift_error", "motion_probe_error", "mse_true_motion"}
+
+
+def test_of_each_figure_it_is_known_whether_higher_or_lower_is_better() -> None:
+    found = {name: better(name, 0.1, 0.2) for name in FIGURE_COLUMNS + RANK_COLUMNS}
+
+    assert {name for name, which in found.items() if which == "first"} == HIGHER
+    assert {name for name, which in found.items() if which == "second"} == LOWER | {"inverse_error"}
+    assert {name for name, which in found.items() if which is None} == {"motion_swap_change"}
+
+
+@pytest.mark.parametrize(
+    ("figure", "low", "high", "which"),
+    [
+        ("mse", -2.0, -1.0, "first"),
+        ("mse", 1.0, 2.0, "second"),
+        ("mse", -1.0, 2.0, None),
+        ("mse", 0.0, 2.0, None),
+        ("mse", None, None, None),
+        ("ssim", 0.1, 0.2, "first"),
+        ("psnr_push", -2.0, -1.0, "second"),
+        ("control_success[0.2]", 0.1, 0.2, "first"),
+        ("rollout_position_error[5]", 0.1, 0.2, "second"),
+        ("motion_swap_change", 0.1, 0.2, None),
+    ],
+)
+def test_better_is_said_only_where_the_interval_says_so(
+    figure: str, low: float | None, high: float | None, which: str | None
+) -> None:
+    assert better(figure, low, high) == which
 
 
 def _ended(solved: np.ndarray) -> pa.Table:

@@ -35,7 +35,7 @@ EARLIER_FEWEST: Final = 2
 """As many it took when the first results were published; some of these have intervals over fewer than today."""
 
 ROUNDING: Final = 1e-12
-"""A standard deviation of shares below this is rounding: all cases are alike."""
+"""A standard deviation of shares, or a width of an interval, below this is rounding: all cases, or draws, are alike."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,7 +198,8 @@ def wilson(share: float, count: int) -> tuple[float, float]:
 def rank_correlation(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -> Estimate | None:
     """Spearman's rank correlation, with a 95% interval by a bootstrap over the pairs; its std is that of the draws.
 
-    None of fewer than ``FEWEST_PAIRS``, and where one of the two is constant.
+    None of fewer than ``FEWEST_PAIRS``, and where one of the two is constant. Where both rank all pairs alike, or one
+    the other way round, so does every draw: there is no interval.
     """
     count = len(first)
     if count < FEWEST_PAIRS:
@@ -210,8 +211,15 @@ def rank_correlation(first: Float[np.ndarray, " n"], second: Float[np.ndarray, "
     known = drawn[np.isfinite(drawn)]
     if not len(known) or not np.isfinite(all_of_them):
         return None
-    low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Estimate(mean=all_of_them, std=float(known.std()), low=float(low), high=float(high), n=count)
+    low, high = map(float, np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
+    is_ordered = high - low < ROUNDING
+    return Estimate(
+        mean=all_of_them,
+        std=float(known.std()),
+        low=None if is_ordered else low,
+        high=None if is_ordered else high,
+        n=count,
+    )
 
 
 def _ranked_alike(first: Float[np.ndarray, "r n"], second: Float[np.ndarray, "r n"]) -> Float[np.ndarray, " r"]:

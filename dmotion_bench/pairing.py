@@ -111,7 +111,8 @@ def compare_runs(
         first, second: The folder of a run, or of several that differ in their seed alone: their mean is compared.
         dataset: What all were scored on; each one's own data set if left out.
         split: Whose episodes all were scored on.
-        warn: Told in a sentence which figures are left out, since they were measured with different settings.
+        warn: Told in a sentence which figures are left out, since they were measured with different settings, and
+            which are of a part of a run's samples alone.
 
     Raises:
         RunMissing: One of them is not scored.
@@ -122,11 +123,26 @@ def compare_runs(
     told, left_out = _left_out(models)
     tables = [[_without(of_model(samples), left_out) for _, samples in own] for own in models]
     found = list(differences(*tables))
+    told += _in_part([report.run for own in models for report, _ in own], [one for own in tables for one in own])
     if told and not found:
         raise RunMismatch(" ".join(told))
     for sentence in told:
         warn(sentence)
     return found
+
+
+def _in_part(runs: Sequence[str], tables: Sequence[pa.Table]) -> list[str]:
+    """Of which metrics some runs have more samples than others, in sentences: figures are then not those of reports."""
+    told = []
+    for metric in PAIRED:
+        sizes = [pc.sum(pc.equal(samples["metric"], metric)).as_py() or 0 for samples in tables]
+        (least, fewer), *_, (most, more) = sorted(zip(sizes, runs, strict=True))
+        if least < most:
+            told.append(
+                f"{more!r} has more samples of {metric} than {fewer!r}; only those that all have are compared, so that "
+                "figures differ from its report."
+            )
+    return told
 
 
 def _left_out(models: Sequence[Sequence[_Scored]]) -> tuple[list[str], list[str]]:

@@ -217,6 +217,24 @@ def test_figures_that_were_measured_with_other_settings_are_left_out(workspace: 
     assert "gain_objective is None of the first and 'pixel' of the second" in told[0]
 
 
+def test_it_is_said_that_a_run_was_scored_on_more_tasks_than_the_other(workspace: Workspace) -> None:
+    first, second = (_with_control(workspace, name, PLANNED, GainScoring()) for name in (S0, S1))
+    report = read_report(second / "report")
+    assert report is not None
+    samples = read_report_samples(second / "report", report)
+    assert samples is not None
+    fewer = samples.filter(pc.fill_null(pc.less(samples["task"], 4), True))
+    write_report(second / "report", report, fewer)
+    told = list[str]()
+    found = {one.figure: one for one in compare_runs(first, second, warn=told.append)}
+
+    assert found["control_distance[2]"].difference.n == 4
+    assert [sentence.partition(";")[0] for sentence in told] == [f"'{S0}' has more samples of control than '{S1}'"]
+    told.clear()
+    assert compare_runs(first, first, warn=told.append)
+    assert told == []
+
+
 def test_predictions_of_another_precision_or_version_are_not_compared(workspace: Workspace) -> None:
     path = workspace.runs / S1 / "report/report.json"
     report = json.loads(path.read_text())

@@ -20,7 +20,7 @@ from dmotion_bench.errors import DmbenchError, RunMismatch, RunMissing
 from dmotion_bench.learning.runs.manifest import RunSpec
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.decisive import sample_settings
-from dmotion_bench.scoring.differences import PAIRED, Difference, differences, of_model
+from dmotion_bench.scoring.differences import CONTROL_DISTANCES, PAIRED, Difference, differences, of_model
 from dmotion_bench.scoring.report import (
     REPORT_FOLDER,
     TRANSFERS,
@@ -84,12 +84,17 @@ def scored_on(run: Path, dataset: ReadableDataset | None = None, split: SplitNam
     """A run's report on a data set, its own (also by None) or another, and the samples.
 
     Raises:
-        RunMissing: There is none.
+        RunMissing: There is none, or it is of weights that the run no longer has.
         RunCorrupt: The run, or a report on a data set of the same name, cannot be read.
     """
-    if dataset is None:
-        return scored(run, run / report_place(None, split))
-    return scored(run, report_folder(run, Run.open(run).spec.fingerprint, dataset, split), dataset)
+    trained = Run.open(run)
+    place = report_place(None, split)
+    folder = run / place if dataset is None else report_folder(run, trained.spec.fingerprint, dataset, split)
+    found, samples = scored(run, folder, dataset)
+    if trained.result is not None and trained.result["weights"] != found.weights:
+        again = command("dmbench score", run, *(() if dataset is None else ("--data", str(dataset.path))))
+        raise RunMissing(f"the report of {str(run)!r} is of an earlier training; score the run with {again}.")
+    return found, samples
 
 
 def compare_runs(
@@ -106,7 +111,8 @@ def compare_runs(
         first, second: The folder of a run, or of several that differ in their seed alone: their mean is compared.
         dataset: What all were scored on; each one's own data set if left out.
         split: Whose episodes all were scored on.
-        warn: Told in a sentence which figures are left out, since they were measured with different settings.
+        warn: Told in a sentence which figures are left out, since they were measured with different settings, and
+            which are of a part of a run's samples alone.
 
     Raises:
         RunMissing: One of them is not scored.
@@ -117,11 +123,26 @@ def compare_runs(
     told, left_out = _left_out(models)
     tables = [[_without(of_model(samples), left_out) for _, samples in own] for own in models]
     found = list(differences(*tables))
+    told += _in_part([report.run for own in models for report, _ in own], [one for own in tables for one in own])
     if told and not found:
         raise RunMismatch(" ".join(told))
     for sentence in told:
         warn(sentence)
     return found
+
+
+def _in_part(runs: Sequence[str], tables: Sequence[pa.Table]) -> list[str]:
+    """Of which metrics some runs have more samples than others, in sentences: figures are then not those of reports."""
+    told = []
+    for metric in PAIRED:
+        sizes = [pc.sum(pc.equal(samples["metric"], metric)).as_py() or 0 for samples in tables]
+        (least, fewer), *_, (most, more) = sorted(zip(sizes, runs, strict=True))
+        if least < most:
+            told.append(
+                f"{more!r} has more samples of {metric} than {fewer!r}; only those that all have are compared, so that "
+                "figures differ from its report."
+            )
+    return told
 
 
 def _left_out(models: Sequence[Sequence[_Scored]]) -> tuple[list[str], list[str]]:
@@ -137,8 +158,8 @@ def _left_out(models: Sequence[Sequence[_Scored]]) -> tuple[list[str], list[str]
         for why, apart in _measured_otherwise(one, one_samples, other, other_samples).items():
             if new := [metric for metric in apart if metric not in metrics]:
                 told[
-                    f"the figures of {' and '.join(new)} of {one.run!r} and {other.run!r} were measured with different "
-                    f"settings, so they are not compared: {why}; score both runs with the same ones."
+                    f"{' and '.join(new)} of {one.run!r} and {other.run!r} are not compared: {why}; score both again "
+                    "with the same settings."
                 ] = None
                 metrics += new
     measured = [[set(pc.unique(samples["metric"]).to_pylist()) for _, samples in own] for own in models]
@@ -198,15 +219,20 @@ def _require_same_triplets(one: Report, other: Report) -> None:
         RunMismatch: They were not.
     """
     for what, left, right in (
-        ("data set", one.dataset["fingerprint"], other.dataset["fingerprint"]),
-        ("split", one.settings["split"], other.settings["split"]),
-        ("split's protocol", one.settings["protocol"], other.settings["protocol"]),
+        ("data sets", *map(_dataset, (one, other))),
+        ("splits", one.settings["split"], other.settings["split"]),
+        ("kinds of split", one.settings["protocol"], other.settings["protocol"]),
     ):
         if left != right:
             raise RunMismatch(
-                f"{one.run!r} and {other.run!r} were not scored on the same triplets: the {what} is {left!r} of the "
-                f"first and {right!r} of the second; differences are paired or not at all."
+                f"{one.run!r} and {other.run!r} were scored on different {what}: {left} and {right}. Only runs that "
+                "were scored on the same frames are compared."
             )
+
+
+def _dataset(report: Report) -> str:
+    """What a report was scored on: the data set's name, and the beginning of its hash."""
+    return f"{shown(report.dataset['name'])} ({report.dataset['fingerprint'][:12]})"
 
 
 def _measured_otherwise(one: Report, one_samples: pa.Table, other: Report, other_samples: pa.Table) -> _Otherwise:
@@ -214,10 +240,16 @@ def _measured_otherwise(one: Report, one_samples: pa.Table, other: Report, other
     both = set(pc.unique(one_samples["metric"]).to_pylist()) & set(pc.unique(other_samples["metric"]).to_pylist())
     found: dict[str, list[str]] = {}
     for metric in PAIRED:
-        mine, theirs = (sample_settings(metric, report.settings) for report in (one, other))
+        mine, theirs = (_decisive(metric, report) for report in (one, other))
         if metric in both and mine != theirs:
             found.setdefault(_apart(mine, theirs), []).append(metric)
     return found
+
+
+def _decisive(metric: str, report: Report) -> dict[str, Any]:
+    """What decides a report's samples of a metric; control has a version of its own among its settings."""
+    version = {} if metric in CONTROL_DISTANCES else {"scoring_version": report.scoring_version}
+    return version | sample_settings(metric, report.settings)
 
 
 def _apart(first: Mapping[str, Any], second: Mapping[str, Any]) -> str:

@@ -97,7 +97,7 @@ def agreement_lines(board: Board) -> list[str]:
     """With what the gain captured agrees, over the board's rows."""
     head = ["Gain captured with", "Rows", "Spearman's correlation"]
     rows = [
-        [plain(one.figure), str(one.correlation.n), f"{one.correlation.mean:.2f} ({_signed(one.correlation)})"]
+        [plain(one.figure), str(one.correlation.n), f"{one.correlation.mean:.2f}{_signed(one.correlation)}"]
         for one in board.agreement
     ]
     lines = table(head, rows, words=1)
@@ -105,7 +105,7 @@ def agreement_lines(board: Board) -> list[str]:
 
 
 def _signed(one: Estimate) -> str:
-    return f"{one.low:.2f}{TO}{one.high:.2f}"
+    return "" if one.low is None else f" ({one.low:.2f}{TO}{one.high:.2f})"
 
 
 def world(board: Board) -> str:

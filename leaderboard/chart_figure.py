@@ -36,9 +36,10 @@ def chart_numbers(headings: Sequence[str], rows: Iterable[Sequence[str]]) -> Mar
 
 
 def point_of(x: float, row: Row, figure: str) -> Point:
-    """A figure of a row as a point."""
+    """A figure of a row as a point; its bar is the 95% interval, where that is known."""
     value = row.figures[figure]
-    return Point(x=x, y=value.mean, low=value.low, high=value.high)
+    low, high = value.interval or (None, None)
+    return Point(x=x, y=value.mean, low=low, high=high)
 
 
 def reference_guides(board: Board, figure: str) -> list[Guide]:

@@ -124,8 +124,9 @@ def _predictions(places: Sequence[Place], boards: Sequence[Board]) -> list[str]:
         f"{POSITION_CHARGED} [px]": lambda board, row: known(row, "position_error_paper", figure),
     }
     note = (
-        "Error of the predicted next frame on the test episodes, with its 95% interval over them; of several trainings "
-        "the mean. Bold: the best on its data set, or tied with the best, as trained here."
+        "Error of the predicted next frame on the test episodes, with its 95% interval over them. Of several trainings "
+        "it is the mean, with the interval over trainings, too. Bold: the best on its data set, or tied with the best, "
+        "as trained here."
     )
     if any(each(row.labels) for _, row in places):
         note = f"{note} {EACH_MEANING}"

@@ -138,7 +138,7 @@ def _header(entries: Sequence[Entry], boards: Sequence[Board], summary: Summary 
                     "Small print under a number: \u201c95%\u201d is the interval of the mean (a bootstrap), over test "
                     "episodes and, where a row has several trainings, over these; \u201cseeds\u201d are the lowest and "
                     "the highest of several trainings. In a published row it is what the paper's table has after "
-                    "\u00b1.",
+                    "\u00b1. A bar in a chart is the 95% interval, where it is known.",
                 ),
                 element(
                     "li",

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 
 from dmotion_bench.planning.columns import COLUMNS
+from dmotion_bench.scoring.differences import standing
 from leaderboard.agreement import JOINED
 from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
 from leaderboard.board_tables import tuned
@@ -139,8 +140,9 @@ def agreement_note(board: Board) -> Markup | None:
     if not board.agreement:
         return None
     said = "; ".join(
-        f"{one.figure} {one.correlation.mean:.2f} ({one.correlation.low:.2f} to {one.correlation.high:.2f}, "
-        f"{one.correlation.n} rows)"
+        f"{one.figure} {one.correlation.mean:.2f} ("
+        + ("" if one.correlation.low is None else f"{one.correlation.low:.2f} to {one.correlation.high:.2f}, ")
+        + f"{one.correlation.n} rows)"
         for one in board.agreement
     )
     joined = f" {JOINED}" if any(one.joined for one in board.agreement) else ""
@@ -312,7 +314,9 @@ def _behind(row: Row) -> Markup:
         return element("td", "")
     difference = row.behind
     between = interval(difference.low, difference.high, sign=True)
-    text = f"tie ({signed(difference.mean)})" if row.ties else signed(difference.mean)
+    words = {"tie": "tie", "unknown": f"unknown, {difference.episodes} episodes"}
+    said = "" if row.unsound else words.get(standing(difference), "")
+    text = f"{said} ({signed(difference.mean)})" if said else signed(difference.mean)
     return element("td", text, element("small", between) if between else None, data_value=repr(difference.mean))
 
 

@@ -219,7 +219,8 @@ def leaderboard_compare(
         data: Another data set that both were scored on, by folder, name or address. Default: the one of the training.
         split: ``"test"`` or ``"validation"``: which episodes both were scored on.
         workspace: The folder with ``data/`` and ``runs/``; the current one by default.
-        warn: Told in a sentence which figures are left out, since they were measured with different settings.
+        warn: Told in a sentence which figures are left out, since they were measured with different settings, and
+            which are of a part of a run's samples alone.
 
     Returns:
         The difference of each figure that both have: ``difference`` with its 95% interval over episodes and, of a

@@ -367,7 +367,7 @@ def _chosen(
 
 
 def beside(target: Target, workspace: Workspace) -> list[Path]:
-    """A report's run, and the scored runs of the same data set that stand beside it, the best first."""
+    """A report's run, and the runs scored on the same frames that stand beside it, the best first."""
     own = read_report(target.path / REPORT_FOLDER)
     if own is None or "mse" not in own.figures:
         return [target.path]
@@ -380,6 +380,6 @@ def beside(target: Target, workspace: Workspace) -> list[Path]:
         if report is None or path.resolve() == target.path.resolve():
             continue
         figure = report.figures.get("mse")
-        if figure and figure["mean"] is not None and report.dataset["fingerprint"] == own.dataset["fingerprint"]:
+        if figure and figure["mean"] is not None and report.frames == own.frames:
             others.append((float(figure["mean"]), path))
     return [target.path, *(path for _, path in sorted(others)[: MOST - 1])]

@@ -163,14 +163,7 @@ def _boards(reports: Mapping[Path, Report]) -> dict[tuple[str, ...], dict[Path, 
     """The reports that were scored on the same triplets."""
     found: dict[tuple[str, ...], dict[Path, Report]] = defaultdict(dict)
     for path, report in reports.items():
-        settings = report.settings
-        key = (
-            report.dataset["name"],
-            report.dataset["fingerprint"],
-            str(settings["split"]),
-            str(settings.get("protocol")),
-        )
-        found[key][path] = report
+        found[report.dataset["name"], *report.frames][path] = report
     return dict(found)
 
 

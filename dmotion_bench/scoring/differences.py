@@ -63,7 +63,9 @@ CONTROL_DISTANCES: Final[Mapping[str, str]] = {
 }
 """By the metric of samples of control, the figure of their distances; at the start all are 1 away."""
 
-_ENDED: Final = ("control_success", "control_lost")
+_SOLVED: Final = "control_success"
+"""A share of tasks."""
+_ENDED: Final = (_SOLVED, "control_lost")
 """Figures of control at its end."""
 
 
@@ -198,11 +200,12 @@ def _difference(
     apart = (values[:trainings].mean(axis=0) - values[trainings:].mean(axis=0)) / wholes
     first, second = (float(own.mean(axis=0).sum() / wholes.sum()) for own in (values[:trainings], values[trainings:]))
     estimate = replace(estimate, std=float(apart.std()), n=int(counted.sum()))
+    estimate = estimate.of_shares_apart() if figure == _SOLVED else estimate
     return Difference(figure=figure, first=first, second=second, difference=estimate)
 
 
 def _values(samples: pa.Table, name: str) -> Float[np.ndarray, " n"]:
-    if name == "control_success":
+    if name == _SOLVED:
         return is_solved(column(samples, "control_distance"))
     return column(samples, name).astype(np.float64)
 

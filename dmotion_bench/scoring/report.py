@@ -133,6 +133,11 @@ class Report:
         return None if own is None else str(own["name"])
 
     @property
+    def frames(self) -> tuple[str, ...]:
+        """What decides which frames it is about: the data set, the part of it, and how it was split."""
+        return str(self.dataset["fingerprint"]), str(self.settings["split"]), str(self.settings.get("protocol"))
+
+    @property
     def place(self) -> Path:
         """The report's path within the run's folder."""
         elsewhere = None if self.trained_on is None else str(self.dataset["name"])

@@ -34,6 +34,9 @@ FEWEST_EPISODES: Final = 5
 EARLIER_FEWEST: Final = 2
 """As many it took when the first results were published; some of these have intervals over fewer than today."""
 
+ROUNDING: Final = 1e-12
+"""A standard deviation of shares, or a width of an interval, below this is rounding: all cases, or draws, are alike."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Estimate:
@@ -61,6 +64,18 @@ class Estimate:
             return self
         low, high = wilson(self.mean, self.episodes)
         return replace(self, low=min(low, self.mean), high=max(high, self.mean))
+
+    def of_shares_apart(self) -> Estimate:
+        """The same of a difference of two shares, which lies between -1 and 1.
+
+        Where it is alike in all cases, no draw of them differs. Wilson's interval over episodes then bounds the share
+        of other cases, each of which may differ by anything from -1 to 1.
+        """
+        if self.low is None or self.high is None or not self.episodes:
+            return self
+        _, others = (0.0, 0.0) if self.std > ROUNDING else wilson(0.0, self.episodes)
+        low, high = (self.mean + others * (bound - self.mean) for bound in (-1, 1))
+        return replace(self, low=max(-1.0, min(low, self.low)), high=min(1.0, max(high, self.high)))
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in a report."""
@@ -183,7 +198,8 @@ def wilson(share: float, count: int) -> tuple[float, float]:
 def rank_correlation(first: Float[np.ndarray, " n"], second: Float[np.ndarray, " n"]) -> Estimate | None:
     """Spearman's rank correlation, with a 95% interval by a bootstrap over the pairs; its std is that of the draws.
 
-    None of fewer than ``FEWEST_PAIRS``, and where one of the two is constant.
+    None of fewer than ``FEWEST_PAIRS``, and where one of the two is constant. Where both rank all pairs alike, or one
+    the other way round, so does every draw: there is no interval.
     """
     count = len(first)
     if count < FEWEST_PAIRS:
@@ -195,8 +211,15 @@ def rank_correlation(first: Float[np.ndarray, " n"], second: Float[np.ndarray, "
     known = drawn[np.isfinite(drawn)]
     if not len(known) or not np.isfinite(all_of_them):
         return None
-    low, high = np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return Estimate(mean=all_of_them, std=float(known.std()), low=float(low), high=float(high), n=count)
+    low, high = map(float, np.quantile(known, [(1 - LEVEL) / 2, (1 + LEVEL) / 2]))
+    is_ordered = high - low < ROUNDING
+    return Estimate(
+        mean=all_of_them,
+        std=float(known.std()),
+        low=None if is_ordered else low,
+        high=None if is_ordered else high,
+        n=count,
+    )
 
 
 def _ranked_alike(first: Float[np.ndarray, "r n"], second: Float[np.ndarray, "r n"]) -> Float[np.ndarray, " r"]:

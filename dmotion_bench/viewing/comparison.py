@@ -312,7 +312,9 @@ def _table(reports: Mapping[str, tuple[Path, Report]]) -> str:
     for name in order:
         own, report = samples[name], reports[name][1]
         apart = "" if name != order[0] else "best"
-        if name != order[0] and own is not None and best is not None and (found := behind(own, best)) is not None:
+        if report.frames != reports[order[0]][1].frames:
+            apart = "other frames"
+        elif name != order[0] and own is not None and best is not None and (found := behind(own, best)) is not None:
             apart = standing_words(found, f"**+{rounded(found.mean)}**", interval_text(found.to_json()))
         lines.append(f"| {name} | {' | '.join(figure_text(report.figures.get(key)) for key in shown)} | {apart} |")
     lines += ["", "Mean over the test episodes; differences are paired, with their 95% interval over episodes."]

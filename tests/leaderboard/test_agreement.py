@@ -41,6 +41,9 @@ def test_the_gain_agrees_with_control_of_its_own_data_set_as_the_ranks_do(contro
     assert found[ON_TEST].mean == pytest.approx(-1.0)
     assert found["MSE"].mean == pytest.approx(1.0)
     assert found["MSE"].n == 8
+    assert (found["MSE"].low, found["MSE"].high) == (None, None)  # all draws are ordered as the rows are
+    assert "MSE 1.00 (8 rows)" in make_page(entries)
+    assert "| MSE | 8 | 1.00 |" in board_section(board)
     assert "Spearman" in "\n".join(board_section(board))
     assert "Rank correlation of the gain captured" in make_page(entries)
     assert "Gain captured" in next(line for line in board_section(board) if line.startswith("| Model"))
@@ -81,7 +84,7 @@ def test_control_on_test_tasks_is_beside_the_gain_on_the_board_of_the_training(
 
     assert _correlations([*gains, *control]) == {"grid": {ON_TEST: (8, pytest.approx(-1.0))}, "grid-test": {}}
     (line,) = (line for line in board_section(board) if ON_TEST in line)
-    assert line.startswith(f"| {ON_TEST} | 8 | -1.00 (")
+    assert line.startswith(f"| {ON_TEST} | 8 | -1.00 |")
     assert "rows are compared, not trainings" in " ".join(board_section(board))
     assert f"{ON_TEST} -1.00 (" in make_page([*gains, *control])
     assert "rows are compared, not trainings" in make_page([*gains, *control])

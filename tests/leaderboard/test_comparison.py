@@ -18,11 +18,11 @@ from dmotion_bench.cli.report_table import show_overview
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.pairing import compare_runs, scored
 from dmotion_bench.scoring.control import ControlScoring
-from dmotion_bench.scoring.differences import behind, better, differences, standing
+from dmotion_bench.scoring.differences import behind, differences, standing
 from dmotion_bench.scoring.figures import ROLLOUT_COLUMNS
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.report import Report, read_report, read_report_samples, write_report
-from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS, SampleRows
+from dmotion_bench.scoring.samples import SampleRows
 from dmotion_bench.scoring.statistics import EpisodeBootstrap, wilson
 from dmotion_bench.workspace import Workspace
 from leaderboard.comparison import difference_by_episode, figures_by_samples, sums_by_episode
@@ -68,39 +68,6 @@ def test_the_other_way_round_it_is_the_other_sign(scored_workspace: Workspace) -
     assert one["mse"].better == "first"
     assert other["mse"].better == "second"
     assert one["psnr"].better == "first"
-
-
-HIGHER = {"psnr", "ssim", "agent_iou", "motion_probe_accuracy", "inverse_accuracy", "hit_at_1", "reciprocal_rank"}
-LOWER = {"mse", *POSITION_COLUMNS, *OBJECT_COLUMNS, "motion_shift_error", "motion_probe_error", "mse_true_motion"}
-
-
-def test_of_each_figure_it_is_known_whether_higher_or_lower_is_better() -> None:
-    found = {name: better(name, 0.1, 0.2) for name in FIGURE_COLUMNS + RANK_COLUMNS}
-
-    assert {name for name, which in found.items() if which == "first"} == HIGHER
-    assert {name for name, which in found.items() if which == "second"} == LOWER | {"inverse_error"}
-    assert {name for name, which in found.items() if which is None} == {"motion_swap_change"}
-
-
-@pytest.mark.parametrize(
-    ("figure", "low", "high", "which"),
-    [
-        ("mse", -2.0, -1.0, "first"),
-        ("mse", 1.0, 2.0, "second"),
-        ("mse", -1.0, 2.0, None),
-        ("mse", 0.0, 2.0, None),
-        ("mse", None, None, None),
-        ("ssim", 0.1, 0.2, "first"),
-        ("psnr_push", -2.0, -1.0, "second"),
-        ("control_success[0.2]", 0.1, 0.2, "first"),
-        ("rollout_position_error[5]", 0.1, 0.2, "second"),
-        ("motion_swap_change", 0.1, 0.2, None),
-    ],
-)
-def test_better_is_said_only_where_the_interval_says_so(
-    figure: str, low: float | None, high: float | None, which: str | None
-) -> None:
-    assert better(figure, low, high) == which
 
 
 def test_sums_over_episodes_tell_the_same_as_the_samples(scored_workspace: Workspace) -> None:
@@ -196,7 +163,7 @@ def test_runs_that_saw_other_frames_are_not_compared(workspace: Workspace) -> No
     content = json.loads(report.read_text())
     report.write_text(json.dumps(content | {"dataset": content["dataset"] | {"fingerprint": "0" * 64}}))
 
-    with pytest.raises(RunMismatch, match="the data set is"):
+    with pytest.raises(RunMismatch, match=r"different data sets: 'grid_world-tiny' \(\w{12}\) and .* \(0{12}\)\."):
         compare_runs(workspace.runs / S0, workspace.runs / S1)
 
 
@@ -250,11 +217,40 @@ def test_figures_that_were_measured_with_other_settings_are_left_out(workspace: 
     assert "gain_objective is None of the first and 'pixel' of the second" in told[0]
 
 
-def test_predictions_of_another_precision_are_not_compared(workspace: Workspace) -> None:
+def test_it_is_said_that_a_run_was_scored_on_more_tasks_than_the_other(workspace: Workspace) -> None:
+    first, second = (_with_control(workspace, name, PLANNED, GainScoring()) for name in (S0, S1))
+    report = read_report(second / "report")
+    assert report is not None
+    samples = read_report_samples(second / "report", report)
+    assert samples is not None
+    fewer = samples.filter(pc.fill_null(pc.less(samples["task"], 4), True))
+    write_report(second / "report", report, fewer)
+    told = list[str]()
+    found = {one.figure: one for one in compare_runs(first, second, warn=told.append)}
+
+    assert found["control_distance[2]"].difference.n == 4
+    assert [sentence.partition(";")[0] for sentence in told] == [f"'{S0}' has more samples of control than '{S1}'"]
+    told.clear()
+    assert compare_runs(first, first, warn=told.append)
+    assert told == []
+
+
+def test_predictions_of_another_precision_or_version_are_not_compared(workspace: Workspace) -> None:
     path = workspace.runs / S1 / "report/report.json"
     report = json.loads(path.read_text())
     path.write_text(json.dumps(report | {"settings": report["settings"] | {"precision": "bf16"}}))
     with pytest.raises(RunMismatch, match=r"prediction and rollout .*: precision is 'float32' of the first and 'bf16'"):
+        compare_runs(workspace.runs / S0, workspace.runs / S1)
+    path.write_text(json.dumps(report | {"scoring_version": 0}))
+    with pytest.raises(RunMismatch, match=r"prediction and rollout .*: scoring_version is 1 of the first and 0"):
+        compare_runs(workspace.runs / S0, workspace.runs / S1)
+
+
+def test_the_report_of_an_earlier_training_is_not_compared(workspace: Workspace) -> None:
+    path = workspace.runs / S1 / "run.json"
+    run = json.loads(path.read_text())
+    path.write_text(json.dumps(run | {"result": run["result"] | {"weights": "0" * 64}}))
+    with pytest.raises(RunMissing, match=f"{S1}' is of an earlier training; score the run with 'dmbench score "):
         compare_runs(workspace.runs / S0, workspace.runs / S1)
 
 

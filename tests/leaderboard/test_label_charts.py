@@ -10,10 +10,13 @@ import pytest
 
 from dmotion_bench.planning.columns import HEADLINE
 from leaderboard.board import Board, make_boards
+from leaderboard.chart_figure import point_of
 from leaderboard.curves import assign_styles
 from leaderboard.entry import Entry
 from leaderboard.label_charts import label_charts, label_notes
 from leaderboard.page import make_page
+from leaderboard.row import Row
+from leaderboard.value import Value
 
 from .conftest import TASK_EPISODES
 
@@ -48,6 +51,16 @@ def _line(chart: str, model: str) -> list[tuple[float, float]]:
 def _numbers(chart: str) -> list[tuple[str, ...]]:
     """The lines of the table below a chart."""
     return [tuple(re.findall(r"<t[hd][^>]*>(.*?)</t[hd]>", line)) for line in re.findall(r"<tr>(.*?)</tr>", chart)]
+
+
+@pytest.mark.parametrize(("interval", "bar"), [((1.5, 2.5), (1.5, 2.5)), (None, (None, None))])
+def test_a_bar_is_an_interval_and_never_the_range_of_several_trainings(
+    interval: tuple[float, float] | None, bar: tuple[float | None, float | None]
+) -> None:
+    value = Value(mean=2.0, low=1.0, high=3.0, std=None, seeds=3, interval=interval)
+    point = point_of(4.0, Row(kind="measured", name="a", figures={"mse": value}), "mse")
+
+    assert (point.x, point.y, point.low, point.high) == (4, 2, *bar)
 
 
 def test_the_gain_is_drawn_on_a_linear_axis_below_zero_too_and_never_divided(budgeted: Budgeted) -> None:

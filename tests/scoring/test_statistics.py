@@ -159,6 +159,16 @@ def test_the_rank_correlation_is_spearmans() -> None:
     assert rank_correlation(np.ones(8), second[:8]) is None
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_rank_correlation_of_rows_that_are_all_in_order_has_no_interval(sign: int) -> None:
+    first = np.random.default_rng(7).random(9).round(1)  # with ties
+    found = rank_correlation(first, sign * first**3)
+
+    assert found is not None
+    assert found.mean == pytest.approx(sign)
+    assert (found.low, found.high) == (None, None)
+
+
 def test_sums_of_groups_are_the_sums_of_what_the_groups_hold() -> None:
     """Bit by bit, so that figures stay as they are whichever way their sums are made."""
     generator = np.random.default_rng(0)

@@ -239,7 +239,7 @@ def test_runs_are_compared_where_both_were_scored(make_run: MakeRun, other: Data
     assert found["mse"].verdict == "unknown: 3 episodes"
     assert scored_on(native.path, other)[0].trained_on is None
     _score(elsewhere)
-    with pytest.raises(RunMismatch, match="not scored on the same triplets"):
+    with pytest.raises(RunMismatch, match="were scored on different data sets"):
         compare_runs(elsewhere.path, native.path)
 
 

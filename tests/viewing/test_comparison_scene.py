@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
@@ -110,6 +111,21 @@ def test_the_figures_are_told_with_their_paired_difference(
 def test_a_report_stands_beside_the_others_of_its_data_set(scored: list[Path], workspace: Workspace) -> None:
     assert beside(Target("report", scored[0]), workspace) == scored
     assert beside(Target("report", scored[1]), workspace) == scored[::-1]
+
+
+def test_errors_of_other_frames_are_not_compared(
+    scored: list[Path], run: Run, other_run: Run, dataset: Dataset, rrd: Path, workspace: Workspace
+) -> None:
+    """Two splits of one data set share some frames; their errors are means over different ones."""
+    path = scored[0] / "report/report.json"
+    report = json.loads(path.read_text())
+    path.write_text(json.dumps(report | {"settings": report["settings"] | {"protocol": "paper"}}))
+
+    assert beside(Target("report", scored[1]), workspace) == [scored[1]]
+    write_scene(comparison_scene([run, other_run], dataset, [EPISODE]), rrd)
+    (text,) = static(rrd, "/comparison/figures", "TextDocument:text")
+    assert "| dmotion seed 1 | 18.8 | best |" in text
+    assert "| dmotion seed 0 | 20.2 | other frames |" in text
 
 
 def test_what_cannot_be_compared_is_said(run: Run, other_run: Run, dataset: Dataset) -> None:

@@ -11,7 +11,7 @@ import foxglove
 import numpy as np
 import pytest
 from foxglove.channels import RawImageChannel
-from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.descriptor_pb2 import FieldDescriptorProto, FileDescriptorProto, FileDescriptorSet
 from google.protobuf.wrappers_pb2 import Int32Value
 from storage.foreign import ROS, foxglove_file, raw_image, ros_file, ros_image, steady, video
 
@@ -177,6 +177,22 @@ def test_protobuf_actions(tmp_path: Path) -> None:
     dataset = imported(protobuf_file(tmp_path / "a.mcap", described.SerializeToString(), messages), tmp_path)
     assert dataset.spec.actions == Discrete(("7", "9"))
     assert dataset.states(0).actions.tolist() == [0, 0, 1]
+
+
+def test_an_action_of_a_oneof_counts_where_it_is_set(tmp_path: Path) -> None:
+    described = FileDescriptorProto(name="one.proto", package="google.protobuf", syntax="proto3")
+    either = described.message_type.add(name="Int32Value")  # the name that ``protobuf_file`` gives
+    either.oneof_decl.add(name="which")
+    for number, name in enumerate(("action", "value"), 1):
+        either.field.add(name=name, number=number, type=FieldDescriptorProto.TYPE_INT32, label=1, oneof_index=0)
+    schema = FileDescriptorSet(file=[described]).SerializeToString()
+    value = Int32Value  # its field has the number 1, as ``action`` has
+    second = b"\x10\x05"  # the field 2 is 5
+    messages = [value(value=7).SerializeToString(), second, b"\x08\x00"]
+    dataset = imported(protobuf_file(tmp_path / "a.mcap", schema, messages), tmp_path)
+    assert [dataset.spec.actions.names[number] for number in dataset.states(0).actions] == ["7", "5", "0"]
+    with pytest.raises(RecordingImportError, match="message 1 on '/action' has none of the fields"):
+        imported(protobuf_file(tmp_path / "b.mcap", schema, [second, b"", second]), tmp_path / "b")
 
 
 @pytest.mark.parametrize("schema", [b"", b"\xff\xff", b"\x0a\x03\x0a\x01a"])

@@ -27,10 +27,10 @@ LISTED = f"{HEAD}  relative_file_paths:\n"
 
 
 def bag(folder: Path, parts: int, colour: int = 0) -> Path:
-    """A bag as rosbag2 records it into several files, with four pictures in each."""
+    """A bag as rosbag2 records it into several files, with four pictures in each; colours follow one another."""
     folder.mkdir(parents=True)
     names = [f"{folder.name}_{part}.mcap" for part in range(parts)]
-    times = steady(4 * parts)
+    times = [t_ns + colour * 1_000_000_000 for t_ns in steady(4 * parts)]
     for part, name in enumerate(names):
         frames = np.full((4, 16, 16, 3), colour, np.uint8)
         frames[:, 0, 0, 1] = part

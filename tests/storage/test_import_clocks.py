@@ -14,7 +14,7 @@ from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Clock
 from dmotion_bench.storage.imports.timeline import gaps_ns
-from dmotion_bench.storage.imports.two_clocks import Jump, Times, apart_s, is_steadier, jumps
+from dmotion_bench.storage.imports.two_clocks import Jump, Times, apart_s, delay_ns, is_steadier, jumps
 
 HOUR_NS = 3600 * 10**9
 SMALL = ImportOptions(size=32)
@@ -121,3 +121,26 @@ def test_bursts_of_another_clock_than_the_actions_are_not_told_of_it(tmp_path: P
     far = import_recordings([recording(tmp_path / "far", bursts, stamps - HOUR_NS)], tmp_path / "other", options)
     assert any(told.endswith("'--clock header' can be used without '--actions' alone.") for told in far.advice)
     assert not any("use '--clock header'" in told for told in far.advice)
+
+
+@pytest.mark.parametrize(("late_ms", "said"), [(40, False), (60, True), (1100, False)])
+def test_pictures_that_were_recorded_more_than_half_a_step_late_are_told_of(
+    tmp_path: Path, late_ms: int, said: bool
+) -> None:
+    stamps = taken()
+    late = recording(tmp_path / "late", stamps + late_ms * 1_000_000, stamps)
+    told = import_recordings([late], tmp_path / "out", WITH_ACTIONS).advice
+    start = "'/camera' was recorded 0.06 s after its own time stamps, more than half a step, and the actions go with"
+    assert any(one.startswith(start) for one in told) == said
+    assert any("after its own time stamps" in one for one in told) == said
+    for options in (SMALL, ImportOptions(size=32, actions="/action", hz=5)):
+        other = import_recordings([late], tmp_path / f"hz-{options.hz}", options).advice
+        assert not any("after its own time stamps" in one for one in other)
+
+
+def test_a_delay_that_the_time_stamps_do_not_tell() -> None:
+    stamps = taken()
+    assert delay_ns(stamps + 70_000_000, stamps) == 70_000_000
+    assert delay_ns(stamps, stamps + 70_000_000) == 0
+    assert delay_ns(stamps, np.zeros_like(stamps)) == 0
+    assert delay_ns(stamps + HOUR_NS, stamps) == 0

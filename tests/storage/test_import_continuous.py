@@ -19,10 +19,13 @@ from storage.hdf5_files import robomimic
 from dmotion_bench.actions import Continuous
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.exports.lerobot import export_lerobot
+from dmotion_bench.storage.imports.cameras import BadPicture
 from dmotion_bench.storage.imports.commands import in_force
 from dmotion_bench.storage.imports.continuous_commands import ContinuousCommands, Reduce, from_rows, reduced
+from dmotion_bench.storage.imports.continuous_messages import ContinuousReader
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.limits import ImportLimits
+from dmotion_bench.storage.imports.mcap_records import TopicInfo
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import steady_times
 from dmotion_bench.storage.imports.timeline import Piece, resample
@@ -153,6 +156,26 @@ def test_protobuf_fields(tmp_path: Path) -> None:
         "has no field 'v.y'; did you mean 'v.x'. Its fields are: v.x, all.0, all.1",
         dataclasses.replace(TWIST, action_fields=("v.y",)),
     )
+
+
+def test_a_number_of_a_oneof_that_was_not_sent_is_no_zero() -> None:
+    described = descriptor_pb2.FileDescriptorProto(name="one.proto", package="c", syntax="proto3")
+    command = described.message_type.add(name="Command")
+    command.oneof_decl.add(name="mode")
+    double = descriptor_pb2.FieldDescriptorProto.TYPE_DOUBLE
+    command.field.add(name="velocity", number=1, type=double, label=1, oneof_index=0)
+    command.field.add(name="position", number=2, type=double, label=1, oneof_index=0)
+    command.field.add(name="grip", number=3, type=double, label=1)
+    schema = descriptor_pb2.FileDescriptorSet(file=[described]).SerializeToString()
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(described)
+    sent = message_factory.GetMessageClass(pool.FindMessageTypeByName("c.Command"))
+    topic = TopicInfo("/cmd", "protobuf", "c.Command", "protobuf", schema)
+
+    numbers = ContinuousReader(("velocity", "grip"), most=100).decoder(topic)
+    assert numbers(sent(velocity=0.0).SerializeToString()) == [0.0, 0.0]
+    with pytest.raises(BadPicture, match="has no field 'velocity'; its fields are: position, grip"):
+        numbers(sent(position=7.0, grip=1.0).SerializeToString())
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def root(tmp_path: Path) -> Path:
 
 def mcap(path: Path, seed: int = 0) -> Path:
     path.parent.mkdir(parents=True, exist_ok=True)
-    return foxglove_file(path, video(6, seed=seed), steady(6))
+    return foxglove_file(path, video(6, seed=seed), steady(6 + 6 * seed)[-6:])
 
 
 def pictures(folder: Path, seed: int = 0, count: int = 6) -> Path:

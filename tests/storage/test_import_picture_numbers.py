@@ -14,7 +14,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
-from dmotion_bench.storage.imports.picture_numbers import repeated_with_others, steps_between
+from dmotion_bench.storage.imports.picture_numbers import begun_anew, repeated_with_others, steps_between
 
 OPTIONS = ImportOptions(size=32, source_hz=10)
 T0 = 1_700_000_000
@@ -131,6 +131,39 @@ def test_cameras_that_a_number_tells_apart_are_told_of(tmp_path: Path) -> None:
         "so in 2 more folders, as the number of a camera or of an episode is"
     )
     assert "move those of each into a folder of its own; '--camera'" in report.advice[0]
+
+
+@pytest.mark.parametrize(
+    ("names", "found"),
+    [
+        ([f"episode_{one:03d}_frame_{t:04d}" for one in range(12) for t in range(5 + one % 3)], ("0", 12)),
+        ([f"{one}_{t}" for one in range(3, 5) for t in range(1, 7 + one)], ("1", 2)),
+        ([f"ep{one}_cam2_{t}" for one in range(9) for t in range(8)], ("0", 9)),
+        ([f"ep{one}_f{t}" for one in range(12) for t in range(100)], ("0", 12)),
+        ([f"{t // 100}_{t % 100:02d}" for t in range(350)], None),  # a number in two parts
+        ([f"{T0 + t // 10}_{t % 10}00000000" for t in range(45)], None),  # seconds and nanoseconds
+        ([f"{t // 60}-{t % 60}" for t in range(130)], None),  # minutes and seconds
+        ([f"20240101_12{t // 60:02d}{t % 60:02d}" for t in range(130)], None),
+        ([f"{one}_{t}" for one in range(4) for t in range(7 * one, 7 * one + 7 + one)], None),
+        ([f"run3_{t}" for t in range(20)], None),
+        ([f"{t}_{camera}" for t in range(20) for camera in (0, 1)], None),
+        ([f"{t}.5" for t in range(20)], None),
+        (["left", "left"], None),
+        ([], None),
+    ],
+)
+def test_a_number_that_begins_anew(names: list[str], found: tuple[str, int] | None) -> None:
+    assert begun_anew([f"{name}.png" for name in names]) == found
+
+
+def test_episodes_that_share_a_folder_are_told_of(tmp_path: Path) -> None:
+    fill(tmp_path / "run", [f"episode_{one:02d}_frame_{t:03d}.png" for one in range(11) for t in range(3 + one % 2)])
+    report, _ = imported(tmp_path / "run")
+    assert report.advice[0] == (
+        f"a number in the names of the pictures in {str(tmp_path / 'run')!r} begins anew at 0 11 times, as the number "
+        "of a picture does with each episode, and all of them become one recording in the order of their names. If "
+        "they are of several episodes, move those of each into a folder of its own."
+    )
 
 
 def test_random_numbers_stay_one_episode_without_a_remark(tmp_path: Path) -> None:

@@ -9,6 +9,6 @@ out damaged episodes of a recording that holds several.
 
 ``mcap_records`` reads MCAP files without trust, ``hdf5_contents`` and ``hdf5_pictures`` HDF5; ``cameras`` and
 ``commands`` decode their messages, ``pixels`` and ``fitting`` make frames, ``timeline`` resamples. ``import_plan``
-says which data set the recordings become, with ``source_rate`` how fast they are and ``advice`` what would make a
-better one; ``importing`` writes it.
+says which data set the recordings become, with ``source_rate`` how fast they are, ``overlaps`` which were made at one
+time and ``advice`` what would make a better one; ``importing`` writes it.
 """

@@ -56,7 +56,12 @@ def advice(
         told: Sentences about what was not imported.
     """
     sentences = [*told, *_told_of(surveys), *dict.fromkeys(hint for survey in surveys for hint in survey.hints)]
-    sentences += [*_assumed_rate(surveys, options), *_uneven_steps(surveys, options), *_gaps(surveys, options)]
+    sentences += [
+        *_delay(surveys, options),
+        *_assumed_rate(surveys, options),
+        *_uneven_steps(surveys, options),
+        *_gaps(surveys, options),
+    ]
     if episodes < FEWEST_EPISODES:
         length = length_for(
             pieces, episodes=FEWEST_EPISODES, shortest=options.min_frames, most=options.frames_per_episode
@@ -82,6 +87,20 @@ def advice(
 def _told_of(surveys: Sequence[Survey]) -> list[str]:
     """What is told of the recordings, each sentence once."""
     return list(dict.fromkeys(sentence for survey in surveys for sentence in survey.told))
+
+
+def _delay(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
+    """That pictures were recorded so late that an action goes with those of another step."""
+    late = [one for one in surveys if any(segment.commands is not None for segment in one.segments)]
+    late = [one for one in late if 2 * one.delay_ns * options.hz > 1e9]
+    if not late:
+        return []
+    delays = [survey.delay_ns / 1e9 for survey in late]
+    return [
+        f"{late[0].camera!r} was recorded {durations(min(delays), max(delays))} after its own time stamps, more than "
+        "half a step, and the actions go with the pictures by the times of recording: if the camera's clock is right, "
+        "use '--clock header'."
+    ]
 
 
 def _assumed_rate(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:

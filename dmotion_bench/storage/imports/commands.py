@@ -190,9 +190,25 @@ def _value(message: Any) -> Any:
         if isinstance(message, dict):
             if field in message:
                 return message[field]
-        elif hasattr(message, field):
+        elif hasattr(message, field) and (not is_protobuf(message) or field in fields_given(message)):
             return getattr(message, field)
     raise BadPicture(f"has none of the fields {', '.join(FIELDS)}")
+
+
+def is_protobuf(message: Any) -> bool:
+    """Whether a decoded message is one of protobuf."""
+    return hasattr(type(message), "DESCRIPTOR")
+
+
+def fields_given(message: Any) -> list[str]:
+    """The fields of a protobuf message that have a value.
+
+    A number that is not sent is 0, but not within a ``oneof``, of which one field at most was meant, nor where proto3
+    calls it ``optional``, which is a ``oneof`` of a single field: protobuf would read zeros that nobody commanded.
+    """
+    sent = {field.name for field, _ in message.ListFields()}
+    described = message.DESCRIPTOR.fields
+    return [one.name for one in described if one.name in sent or not (one.message_type or one.containing_oneof)]
 
 
 def protobuf_decoder(topic: TopicInfo) -> Callable[[bytes], Any]:

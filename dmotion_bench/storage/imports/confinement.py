@@ -239,6 +239,7 @@ def packed_survey(survey: Survey) -> tuple[dict[str, Any], bytes]:
         "told": list(survey.told),
         "skipped": list(survey.skipped),
         "is_rate_assumed": survey.is_rate_assumed,
+        "delay_ns": survey.delay_ns,
     }
     return head, b"".join(array.astype("<i8").tobytes() for array in arrays)
 
@@ -299,4 +300,5 @@ def unpacked_survey(head: dict[str, Any], body: bytearray) -> Survey:
         told=head["told"],
         skipped=[(_printable(name), _printable(why)) for name, why in head["skipped"]],
         is_rate_assumed=head["is_rate_assumed"],
+        delay_ns=int(head["delay_ns"]),
     )

@@ -21,7 +21,7 @@ import numpy as np
 from dmotion_bench.actions import MOST_NUMBERS
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, guarded, ros_decoder, well_known
-from dmotion_bench.storage.imports.commands import protobuf_decoder
+from dmotion_bench.storage.imports.commands import fields_given, is_protobuf, protobuf_decoder
 from dmotion_bench.storage.imports.continuous_commands import (
     EXACT,
     ContinuousCommands,
@@ -233,9 +233,8 @@ def _children(node: Any) -> Sequence[str] | None:
         return None
     if isinstance(node, Sequence):
         return _Places(range(len(node)))
-    if hasattr(type(node), "DESCRIPTOR"):  # protobuf; a message within that is not set is not there
-        given = {one.name for one, _ in node.ListFields()}
-        return [one.name for one in node.DESCRIPTOR.fields if one.message_type is None or one.name in given]
+    if is_protobuf(node):
+        return fields_given(node)
     slots = getattr(type(node), "__slots__", None)  # ROS
     return list(slots) if isinstance(slots, list) else None
 

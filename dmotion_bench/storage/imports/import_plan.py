@@ -31,6 +31,7 @@ from dmotion_bench.storage.imports.imported_actions import (
     step_actions,
 )
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
+from dmotion_bench.storage.imports.overlaps import told_of_overlaps
 from dmotion_bench.storage.imports.picture_sizes import have_one_shape, told_of_sizes, usual_size
 from dmotion_bench.storage.imports.recording import Named, Survey
 from dmotion_bench.storage.imports.search import Found
@@ -132,7 +133,8 @@ def plan_import(
     names = discrete_names(surveys, options)
     pieces = _pieces(surveys, options)
     planned, left_out = _plan(recordings, surveys, pieces, names, options, found.bags)
-    hints = [*found.told, *told_of_sizes(surveys, options.size)]
+    overlaps = told_of_overlaps(recordings, surveys, found.bags)
+    hints = [*found.told, *told_of_sizes(surveys, options.size), *overlaps]
     if options.salvage and any(source.kind in UNSALVAGED for source in found.sources):
         hints.append(
             "'--salvage' does nothing for HDF5 files and LeRobot data sets; '--skip-damaged' leaves out their damaged "

@@ -20,7 +20,15 @@ from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMess
 from dmotion_bench.storage.imports.mcap_topics import camera_topic, is_stream, named_topic
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 from dmotion_bench.storage.imports.recording import Clock, Segment, Survey, told_of_harm
-from dmotion_bench.storage.imports.two_clocks import Jump, apart_s, is_ascending, is_steadier, jumps, told_of_jumps
+from dmotion_bench.storage.imports.two_clocks import (
+    Jump,
+    apart_s,
+    delay_ns,
+    is_ascending,
+    is_steadier,
+    jumps,
+    told_of_jumps,
+)
 from dmotion_bench.wording import duration, shown
 
 MOST_SENDERS = 4  # that are told of
@@ -132,12 +140,13 @@ class McapRecording:
             self._check_clocks(taken, logged)
         jumped = jumps(taken, logged) if self._clock is Clock.LOG else []
         harm = [told_of_harm(self.path, taken)] if self._file.is_harmed else []
+        hints = self._clock_hints(taken, logged, jumped)
         return Survey(
             camera=self._camera,
             height=size[0],
             width=size[1],
             segments=[Segment(times_ns=taken, commands=given, jumps=[jump.picture for jump in jumped])],
-            hints=self._clock_hints(taken, logged, jumped),
+            hints=hints,
             told=[
                 *harm,
                 *([f"{told_of_jumps(self.path, jumped)}."] if jumped else []),
@@ -145,6 +154,7 @@ class McapRecording:
                 *self._told_of_order,
                 *self._other_messages(commands),
             ],
+            delay_ns=0 if hints or self._clock is Clock.HEADER else delay_ns(taken, logged),
         )
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:

@@ -22,7 +22,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.natural_order import in_natural_order
-from dmotion_bench.storage.imports.picture_numbers import NUMBER, repeated_with_others, steps_between
+from dmotion_bench.storage.imports.picture_numbers import NUMBER, begun_anew, repeated_with_others, steps_between
 from dmotion_bench.storage.imports.pixels import Shape, shape_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times, times_after
 from dmotion_bench.wording import shown
@@ -158,7 +158,7 @@ class PictureFolder:
         """
         first: tuple[Path, Shape] | None = None
         segments, count, missing = [], 0, Counter[Path]()
-        shared = dict[Path, tuple[list[str], int]]()
+        shared, anew = dict[Path, tuple[list[str], int]](), dict[Path, tuple[str, int]]()
         for folder in self._folders:
             files, shape = self._in(folder), None
             for file in files:
@@ -170,10 +170,12 @@ class PictureFolder:
                 progress(count)
             if count > self._limits.frames:
                 raise RecordingImportError(f"{str(self.path)!r} holds more pictures than can be imported at once.")
-            numbers = repeated_with_others([file.name for file in files])
-            if numbers is not None:
-                shared.setdefault(folder, numbers)
-            steps = steps_between([file.name for file in files])
+            names = [file.name for file in files]
+            if (numbers := repeated_with_others(names)) is not None:
+                shared[folder] = numbers
+            elif (begun := begun_anew(names)) is not None:
+                anew[folder] = begun
+            steps = steps_between(names)
             if steps is None:
                 times = steady_times(len(files), self._source_hz, self.path)
             else:
@@ -188,7 +190,7 @@ class PictureFolder:
             height=shape.height,
             width=shape.width,
             segments=segments,
-            told=[*_told_of_shared(shared), *self._told_of_missing(+missing)],
+            told=[*_told_of_shared(shared), *_told_of_begun(anew), *self._told_of_missing(+missing)],
             is_deep=shape.is_deep,
             is_rate_assumed=self._is_rate_assumed,
         )
@@ -299,5 +301,17 @@ def _told_of_shared(folders: Mapping[Path, tuple[list[str], int]]) -> list[str]:
             f"{others:,} others{more}, as the number of a camera or of an episode is, and all of them become one "
             "episode in the order of their names. If they are of several cameras or episodes, move those of each into "
             "a folder of its own; '--camera' then names the folder of a camera."
+        ]
+    return []
+
+
+def _told_of_begun(folders: Mapping[Path, tuple[str, int]]) -> list[str]:
+    """What is told of folders whose pictures may be of several episodes, as their numbers begin anew."""
+    for folder, (first, times) in folders.items():
+        more = f", and so in {len(folders) - 1:,} more folders" if len(folders) > 1 else ""
+        return [
+            f"a number in the names of the pictures in {str(folder)!r} begins anew at {first} {times:,} times{more}, "
+            "as the number of a picture does with each episode, and all of them become one recording in the order of "
+            "their names. If they are of several episodes, move those of each into a folder of its own."
         ]
     return []

@@ -31,6 +31,8 @@ _DATE: Final = re.compile(rf"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])({_C
 _LONGEST: Final = 2**62  # [ns] that 64 bits hold
 _MOST_CAMERAS: Final = 8  # that one folder holds pictures of
 _MOST_LACKING: Final = 10  # of so many pictures of several cameras one may be missing
+_SHORTEST_RUN: Final = 3  # pictures of an episode, on an average
+_PARTS: Final = frozenset({60, *(10**digits for digits in range(1, 7))})  # so far the end of a longer number may count
 _MOST_STEPS: Final = 1_000_000  # between two pictures: a longer pause is as good as endless
 
 
@@ -65,6 +67,32 @@ def repeated_with_others(names: Sequence[str]) -> tuple[list[str], int] | None:
         others = {row[:place] + row[place + 1 :] for row in rows}
         if len(others) > len(values) and _MOST_LACKING * len(rows) >= (_MOST_LACKING - 1) * len(values) * len(others):
             return list(values), len(others)
+    return None
+
+
+def begun_anew(names: Sequence[str]) -> tuple[str, int] | None:
+    """Where a number in the names begins anew again and again, as the number of a picture does with each episode.
+
+    None where it may be the end of a longer number that another one begins, such as ``12_99`` before ``13_00``.
+
+    Args:
+        names: Of the pictures of one folder, in their order, with the same text around their numbers.
+
+    Returns:
+        The number, and how often it begins.
+    """
+    texts = NUMBER.split(names[0]) if names else []
+    for text, column in zip(texts, zip(*map(NUMBER.findall, names), strict=True), strict=False):
+        if not all(number.isdecimal() for number in column):
+            continue
+        numbers = [int(number) for number in column]
+        begins = [0, *(place for place, (one, two) in enumerate(pairwise(numbers), 1) if two <= one)]
+        first, *others = {numbers[place] for place in begins}
+        if others or len(begins) < 2 or len(numbers) < _SHORTEST_RUN * len(begins):
+            continue
+        lengths = {stop - start for start, stop in pairwise(begins)}
+        if len(lengths) > 1 or lengths.isdisjoint(_PARTS) or any(map(str.isalpha, text)):
+            return str(first), len(begins)
     return None
 
 

@@ -58,6 +58,8 @@ class Survey:
         is_deep: Whether the pictures are files in grey with 16 bits a pixel, as depth is stored.
         skipped: Segments that were left out because they are damaged, by their names, each with the reason.
         is_rate_assumed: Whether neither the recording nor the user says how many pictures a second there are.
+        delay_ns: How much later than it was taken a picture was recorded, mostly, if its time is that of the recording;
+            0 where nothing tells.
     """
 
     camera: str
@@ -69,6 +71,7 @@ class Survey:
     is_deep: bool = False
     skipped: Sequence[tuple[str, str]] = ()
     is_rate_assumed: bool = False
+    delay_ns: int = 0
 
     def without(self, damaged: Mapping[int, str]) -> Survey:
         """The same recording without some segments, by their numbers, each with the reason."""

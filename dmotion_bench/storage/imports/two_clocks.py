@@ -69,6 +69,19 @@ def apart_s(recorded_ns: Times, stamps_ns: Times) -> float | None:
     return next((apart / 1e9 for apart in usual if abs(apart) > MOST_APART * 1e9), None)
 
 
+def delay_ns(recorded_ns: Times, stamps_ns: Times) -> int:
+    """How much later than they were taken most pictures were recorded [ns].
+
+    0 where the time stamps are missing, or of another clock, or later than the recording.
+
+    Args:
+        recorded_ns, stamps_ns: Of each picture.
+    """
+    if not is_ascending(stamps_ns) or apart_s(recorded_ns, stamps_ns) is not None:
+        return 0
+    return max(0, int(np.median(recorded_ns - stamps_ns)))
+
+
 def told_of_jumps(file: Path, found: Sequence[Jump]) -> str:
     """What is told of jumps, without its full stop.
 

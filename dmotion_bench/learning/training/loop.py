@@ -263,6 +263,8 @@ class _Trainer:
             if np.isfinite(means).all():  # if not, the training has diverged, which the next validation says
                 model, each = type(self.model).__qualname__, np.concatenate(parts)
                 self.hardness.remember(part, chosen, each, model=model, step=self.state.step + 1)
+        elif self.config.hard_share and step == self.parts[-1].start and companions.is_first:
+            self.hardness.warn_of_none(type(self.model).__qualname__)
         self.state.seconds += time.perf_counter() - began
         self.state.triplets += part.order.batch_size
         return terms, weight

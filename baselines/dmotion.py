@@ -36,7 +36,7 @@ from baselines import dmotion_compact, dmotion_paper
 from baselines.dominant_shift import dominant_shift
 from baselines.layers import squared_error
 from baselines.motion import AffineMotion, CrossConvolution, Motion, Translation, pixel_shift, theta_of_shift
-from baselines.own_frames import OwnFrames, Step
+from baselines.own_frames import WITH_OWN_FRAMES, OwnFrames, Step
 from baselines.patches import rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
@@ -52,6 +52,7 @@ from dmotion_bench.learning.model import (
     TrainingConfig,
     TripletBatch,
 )
+from dmotion_bench.learning.settings import only_with
 from dmotion_bench.specs import Preset, Supervision
 
 MOST_AGENTS: Final = 4
@@ -102,12 +103,12 @@ class DMotionConfig(UNetConfig):
     second_frame: bool = True
     blur: float = 8.0
     jitter: float = 1.2
-    jitter_end: float = 0.2
-    anneal: float = 0.2
-    guide: float = 0.0
-    guided: float = 0.4
+    jitter_end: float = only_with(0.2, "jitter above 0", lambda its: its.jitter > 0)
+    anneal: float = only_with(0.2, "blur above 1", lambda its: its.blur > 1)
+    guide: float = only_with(0.0, "agents=1", lambda its: its.agents == 1)
+    guided: float = only_with(0.4, "guide above 0 and agents=1", lambda its: its.guide > 0 and its.agents == 1)
     own_frames: float = 0.0
-    own_steps: int = 4
+    own_steps: int = only_with(4, *WITH_OWN_FRAMES)
 
     def __post_init__(self) -> None:
         if self.maps < 1 or self.kernel % 2 == 0:
@@ -237,11 +238,7 @@ class DMotion(TwoFrameModel[DMotionConfig]):
         if self.training and self.guide and self._can_be_guided:
             guidance = self._guidance(batch, motion)
             total, terms = total + self.guide * guidance, terms | {"guidance": guidance.detach()}
-        return Losses(
-            total=total,
-            terms=terms,
-            per_triplet=each.detach(),
-        )
+        return Losses(total=total, terms=terms, per_triplet=each.detach())
 
     @torch.no_grad()
     def align(self, demonstrations: Demonstrations) -> None:

@@ -14,13 +14,14 @@ from jaxtyping import Float
 from torch import Tensor
 
 from baselines.layers import check_size, squared_error
-from baselines.own_frames import OwnFrames, Step
+from baselines.own_frames import WITH_OWN_FRAMES, OwnFrames, Step
 from baselines.patches import pack, rows_of
 from baselines.recipe import compact_recipe
 from baselines.two_frames import Packed, TwoFrameModel
 from baselines.unet import CodedUNet, UNetConfig
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
+from dmotion_bench.learning.settings import only_with
 from dmotion_bench.specs import Preset, Supervision
 
 
@@ -36,7 +37,7 @@ class EncoderDecoderConfig(UNetConfig):
 
     second_frame: bool = True
     own_frames: float = 0.0
-    own_steps: int = 4
+    own_steps: int = only_with(4, *WITH_OWN_FRAMES)
 
     def __post_init__(self) -> None:
         OwnFrames(self.own_frames, self.own_steps)  # refuses what cannot be

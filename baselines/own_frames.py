@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, Final
 
 import torch
 from jaxtyping import Float, Int
@@ -22,6 +23,9 @@ from torch import Tensor
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.model import TripletBatch
+
+WITH_OWN_FRAMES: Final[Any] = ("own_frames above 0", lambda config: config.own_frames > 0)
+"""What ``own_steps`` needs."""
 
 
 @dataclass(frozen=True)

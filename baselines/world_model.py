@@ -27,6 +27,7 @@ from baselines.recipe import compact_recipe
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
+from dmotion_bench.learning.settings import only_with
 from dmotion_bench.specs import Preset, Supervision
 
 AUTOENCODER = Phase(name="autoencoder", fraction=0.5)
@@ -53,12 +54,19 @@ class WorldModelConfig:
             raise InvalidSetting("latent and hidden must be 1 or more, beta 0 or more.")
 
 
+@dataclass(frozen=True, kw_only=True)
+class AutoencoderConfig(WorldModelConfig):
+    """The same, of which the deterministic autoencoder has no use for ``beta``."""
+
+    beta: float = only_with(WorldModelConfig.beta, "the variational code of wm-vae", lambda _: False)
+
+
 class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
     """WM-AE: the code is deterministic."""
 
     supervision: ClassVar[Supervision] = Supervision.ACTIONS
     paper: ClassVar[str] = "Ha, Schmidhuber: Recurrent World Models Facilitate Policy Evolution, NeurIPS 2018"
-    Config: ClassVar[type] = WorldModelConfig
+    Config: ClassVar[type] = AutoencoderConfig
 
     def __init__(self, config: WorldModelConfig, inputs: ModelInputs) -> None:
         super().__init__(config, inputs)
@@ -155,6 +163,8 @@ class AutoencoderWorldModel(ForwardModel[WorldModelConfig]):
 
 class VariationalWorldModel(AutoencoderWorldModel):
     """WM-VAE: the code is a Gaussian; the transition works on its mean."""
+
+    Config: ClassVar[type] = WorldModelConfig
 
     @classmethod
     def _moments(cls) -> int:

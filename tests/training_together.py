@@ -69,6 +69,15 @@ class Exact(ForwardModel[NoConfig]):
         return early if not self.late.weight.requires_grad else early + self.late(early)
 
 
+class Asking(Exact):
+    """Its losses ask the other processes, as LAPO's do for its codes."""
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        if self.training and torch.distributed.is_initialized():
+            torch.distributed.all_reduce(self.mean)
+        return super().losses(batch)
+
+
 def _small(images: Tensor) -> Tensor:
     return F.adaptive_avg_pool2d(images.double(), 8).flatten(1)
 
@@ -128,6 +137,19 @@ def train_exact(
             train(run, training_data(run, dataset), fabric, on_step)
         except KeyboardInterrupt:
             (folder / f"interrupted-{rank}").touch()
+
+
+def train_asking(rank: int, data: Path, folder: Path) -> None:
+    """Train ``Asking``, whose precision is measured before its first step."""
+    import signal
+    from unittest import mock
+
+    signal.alarm(60)  # processes that ask each other different things wait for ever
+    with (
+        mock.patch(f"{__name__}.Exact", Asking),
+        mock.patch("dmotion_bench.learning.training.conditions.settled", return_value=None),
+    ):
+        train_exact(rank, data, folder, ("batch_size=8", "epochs=1", "validations=2"))
 
 
 def talk(rank: int, folder: Path) -> None:

@@ -18,7 +18,7 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.action_encoding import ActionEncoding, Actions
 
 PENALTIES = torch.logspace(-6, 3, 37, dtype=torch.float64)
@@ -69,7 +69,16 @@ class ActionToLatent(nn.Module):
         Args:
             latent: The latent action that the model reads off each demonstration.
             action: What was done in it.
+
+        Raises:
+            ModelContractBroken: The latent actions are not of the map's width, one a demonstration.
         """
+        wanted = (len(action), self.rows.shape[1])
+        if tuple(latent.shape) != wanted:  # torch would repeat a single number as often as it takes
+            raise ModelContractBroken(
+                f"ActionToLatent.fit was given latent actions of the shape {tuple(latent.shape)}; of {len(action)} "
+                f"demonstrations it takes {wanted}, as the width that it was made with says."
+            )
         if isinstance(self.spec, Continuous):
             self.rows.copy_(ridge(self.encoding(action), latent))
             return

@@ -24,6 +24,7 @@ from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.boundary import guarded
 from dmotion_bench.learning.demonstrations import Demonstrations
+from dmotion_bench.learning.settings import only_with
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.values import require_bounds
 
@@ -120,6 +121,9 @@ class Phase:
     earlier: int = 0
 
 
+_FINETUNED: Final[Any] = ("adaptation=finetuned", lambda config: config.adaptation == "finetuned")
+
+
 @dataclass(frozen=True, kw_only=True)
 class TrainingConfig:
     """How a model is optimised.
@@ -170,8 +174,8 @@ class TrainingConfig:
     patience: int = 0
     window: int = 0
     adaptation: str = "averaged"
-    adaptation_steps: int = 200
-    adaptation_rate: float = 1e-4
+    adaptation_steps: int = only_with(200, *_FINETUNED)
+    adaptation_rate: float = only_with(1e-4, *_FINETUNED)
 
     def __post_init__(self) -> None:
         from dmotion_bench.errors import InvalidSetting

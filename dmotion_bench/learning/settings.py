@@ -10,13 +10,27 @@ import json
 import types
 import typing
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, NoReturn, TypeVar
+from typing import Any, Final, NoReturn, TypeVar
 
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.storage.json_file import parse_json
 from dmotion_bench.values import parse_value
 
 ConfigT = TypeVar("ConfigT")
+_NEEDS: Final = "needs"
+
+
+def only_with(default: Any, needed: str, holds: Callable[[Any], bool]) -> Any:
+    """The default of a field that does something only together with another one; ``with_settings`` refuses it else.
+
+    A stored config may hold any value of it: what did nothing in an earlier run does nothing in it now.
+
+    Args:
+        default: Of the field.
+        needed: What it takes, for the sentence.
+        holds: Whether a config has that.
+    """
+    return dataclasses.field(default=default, metadata={_NEEDS: (needed, holds)})
 
 
 def _types(kind: type) -> dict[str, Any]:
@@ -48,8 +62,8 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
         option: Of the command line that they were given with.
 
     Raises:
-        InvalidSetting: No config has the key (the closest is named), the value is not of its type, or the config
-            refuses it.
+        InvalidSetting: No config has the key (the closest is named), the value is not of its type, the config refuses
+            it, or it would do nothing (``only_with``).
     """
     owners = {name: place for place, config in reversed(list(enumerate(configs))) for name in _fields(config)}
     changes: list[dict[str, Any]] = [{} for _ in configs]
@@ -64,9 +78,29 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
         place = owners[key]
         changes[place][key] = parse_value(key, text, _fields(configs[place])[key])
     try:
-        return tuple(dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True))
+        made = [dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True)]
     except ValueError as error:  # as a config of somebody else's may say it
         raise InvalidSetting(f"{option} {' '.join(settings)} cannot be: {str(error).rstrip('.')}.") from None
+    for before, config, change in zip(configs, made, changes, strict=True):
+        _require_use(before, config, change, option)
+    return tuple(made)
+
+
+def _require_use(before: Any, config: Any, change: Mapping[str, Any], option: str) -> None:
+    """Refuse settings that do nothing, if they name another value than the usual one.
+
+    Raises:
+        InvalidSetting: One lacks what it does something with.
+    """
+    for field in dataclasses.fields(config):
+        if field.name not in change or change[field.name] in (getattr(before, field.name), field.default):
+            continue
+        needed, holds = field.metadata.get(_NEEDS, ("", lambda _: True))
+        if not holds(config):
+            raise InvalidSetting(
+                f"{option} {field.name}={change[field.name]} does nothing without {needed}; set that, too, or leave "
+                f"{field.name} out."
+            )
 
 
 def to_json(config: Any) -> dict[str, Any]:

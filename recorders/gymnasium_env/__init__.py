@@ -7,6 +7,7 @@
     guest.py              packages of others, without warnings and without a screen
     legacy_randomness.py  the process's shared random numbers, kept apart for a simulator that draws from them
     modules.py            which modules an id may have imported
+    resets.py             whether a simulator begins a new episode by itself
     spaces.py             action spaces as ``ActionSpec``
     worlds.py             the ids that are known to work, and the packages that others come from
 """

@@ -2,7 +2,8 @@
 
 A frame is what the environment draws in the render mode ``rgb_array``, averaged over areas to a square. An action is
 taken ``action_repeat`` times. An episode that the environment has terminated stays as it is: further actions change
-nothing. A time limit ends a recorded episode, and nothing else: a control task may go on beyond it.
+nothing. A time limit ends a recorded episode, and nothing else: a control task may go on beyond it. An environment that
+begins anew by itself where an episode ends would show the next one as what an action led to; it is refused there.
 
 Somebody else's simulator may raise anything at any time; what it raises becomes a sentence (``RecordingFailed``).
 """
@@ -30,6 +31,7 @@ from dmotion_bench.wording import shown
 from recorders.gymnasium_env.guest import missing_package, quiet, unmade
 from recorders.gymnasium_env.legacy_randomness import LegacyRandomness
 from recorders.gymnasium_env.modules import import_named
+from recorders.gymnasium_env.resets import Resets
 from recorders.gymnasium_env.spaces import action_spec, for_simulator
 from recorders.gymnasium_env.worlds import PACKAGES
 from recorders.policies import RandomPolicy, StickyPolicy
@@ -106,7 +108,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         self._size, self._repeat = frame_size, action_repeat
         self._legacy = LegacyRandomness()
         self._make = partial(self._made, max_episode_steps, wrappers, settings)
-        self._inner, self._fresh, self._used = self._make(), fresh, False
+        self._inner, self._resets = self._make()
+        self._fresh, self._used = fresh, False
         try:
             self._require_pictures()
             with quiet():
@@ -128,13 +131,13 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         )
         self.action_space = actions.space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (frame_size, frame_size, 3), np.uint8)
-        self._seed, self._steps, self._over = 0, 0, False
+        self._seed, self._steps, self._over, self._late = 0, 0, False, False
         self._drawn: tuple[int, ...] | None = None  # the shape of the pictures
         self._frame: UInt8[np.ndarray, "h w 3"] = np.zeros((frame_size, frame_size, 3), np.uint8)
 
     def _made(
         self, max_episode_steps: int | None, wrappers: str, settings: Mapping[str, Scalar]
-    ) -> gymnasium.Env[Any, Any]:
+    ) -> tuple[gymnasium.Env[Any, Any], Resets]:
         for key, value in settings.items():
             if isinstance(value, str) and (value.startswith(("~", ".")) or "/" in value or "\\" in value):
                 raise InvalidSetting(
@@ -152,9 +155,10 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
                     render_mode=RENDER_MODE,
                     **settings,
                 )
+                resets = Resets(made.unwrapped)
                 for kind in kinds:
                     made = kind(made)
-                return made
+                return made, resets
         except Exception as error:  # somebody else's constructor may raise anything
             raise unmade(self.name, error) from error
 
@@ -183,11 +187,12 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
         """Start an episode; nothing varies but by the seed."""
         super().reset(seed=seed)
-        self._steps, self._over, self._seed = 0, False, 0 if seed is None else seed % _SEEDS
+        self._steps, self._over, self._late = 0, False, False
+        self._seed = 0 if seed is None else seed % _SEEDS
         if seed is not None:
             if self._fresh and self._used:
                 self.close()
-                self._inner = self._make()
+                self._inner, self._resets = self._make()
             self._legacy.begin(self._seed)
         self._used = True
         with self._guarded("reset"):
@@ -199,6 +204,10 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         """Take an action ``action_repeat`` times; in an episode that has terminated it changes nothing.
 
         A time limit that is reached within the repeats cuts none of them short: a task may go on beyond it.
+
+        Raises:
+            RecordingFailed: The simulator raises an error, draws no picture of the usual size, or has begun a new
+                episode by itself.
         """
         reward, truncated = 0.0, False
         if self._over:
@@ -206,11 +215,13 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         with self._guarded("step"):
             for _ in range(self._repeat):
                 # Made anew each time: a simulator may write into it.
-                given = for_simulator(self._inner.action_space, action)
+                given, before = for_simulator(self._inner.action_space, action), self._resets.count
                 _, gained, over, late, _ = self._inner.step(given)
                 self._steps += 1
                 reward += float(np.asarray(gained, np.float64).sum())  # of several objectives; no data set holds it
                 self._over, truncated = bool(over), truncated or bool(late)
+                self._late = self._late or truncated
+                self._require_same_episode(before)
                 if self._over:
                     break
             self._frame = self._look()
@@ -259,6 +270,15 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
                 "frames of a data set have one size."
             )
         return area_mean(picture, self._size, self._size)
+
+    def _require_same_episode(self, before: int) -> None:
+        """See that the simulator was not reset in a step, if an episode ended in it or had before."""
+        if (self._over or self._late) and self._resets.count > before:
+            raise RecordingFailed(
+                f"{self.name!r} began a new episode by itself {self._when()}, where one had ended, so the next frame "
+                "would not be what the action led to; leave out what resets it, such as the wrapper "
+                "'gymnasium.wrappers:Autoreset', or give a later end: '--set max_episode_steps=1000'."
+            )
 
     def _when(self) -> str:
         return f"at step {self._steps} of the episode with seed {self._seed}"

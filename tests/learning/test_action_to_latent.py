@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from dmotion_bench.actions import Continuous, Discrete
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.action_encoding import ActionEncoding, action_embedding
 from dmotion_bench.learning.action_to_latent import PENALTIES, ActionToLatent, JointActionToLatent, ridge
 
@@ -50,6 +50,15 @@ def test_discrete_actions_have_a_table_of_means_and_what_was_not_shown_is_as_bef
     assert table(torch.tensor([2, 0, 1])).tolist() == [[7, 7], [2, 4], [0, 9]]
     table.fit(torch.tensor([[5.0, 5.0]]), torch.tensor([1]))
     assert table.rows.tolist() == [[0, 9], [5, 5], [0, 9]]  # nothing is left of demonstrations of before
+
+
+@pytest.mark.parametrize("shape", [(2, 1), (2, 2), (1, 3)])
+def test_latent_actions_of_another_width_are_refused_instead_of_repeated(shape: tuple[int, ...]) -> None:
+    for spec, action in ((Discrete.numbered(2), torch.tensor([0, 1])), (STEPS, drawn(2))):
+        table = ActionToLatent(spec, 3)
+        with pytest.raises(ModelContractBroken, match=r"of 2 demonstrations it takes \(2, 3\), as the width"):
+            table.fit(torch.ones(shape), action)
+        assert not table.rows.any()
 
 
 CORNERS = torch.tensor([[8.0, 0.0], [-8.0, 0.0], [0.0, 8.0], [0.0, -8.0]])

@@ -51,7 +51,7 @@ def _begun(
     """A run on a machine where steps take so long, stopped after its first step; and the threads of that step."""
     used: list[int] = []
 
-    def in_turn(ways: Mapping[str, Callable[[], object]], _: torch.device) -> dict[str, tuple[float, ...]]:
+    def in_turn(ways: Mapping[str, Callable[[], object]], *_: object) -> dict[str, tuple[float, ...]]:
         found = {}
         for name, way in ways.items():
             way()

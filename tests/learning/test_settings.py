@@ -13,6 +13,7 @@ from baselines.dmotion import DMotionConfig
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.settings import from_json, to_json, with_settings
+from dmotion_bench.registry import model_class
 
 
 def test_each_key_goes_to_the_config_that_has_it() -> None:
@@ -44,6 +45,43 @@ def test_each_key_goes_to_the_config_that_has_it() -> None:
 def test_a_wrong_setting_is_named(setting: str, sentence: str) -> None:
     with pytest.raises(InvalidSetting, match=sentence):
         with_settings([setting], DMotionConfig(), TrainingConfig(epochs=1))
+
+
+@pytest.mark.parametrize(
+    ("model", "idle", "needed"),
+    [
+        ("dmotion", "own_steps=2", "own_frames above 0"),
+        ("dmotion", "guided=0.2", "guide above 0 and agents=1"),
+        ("ed-cnn", "own_steps=2", "own_frames above 0"),
+        ("wm-ae", "beta=0.5", "the variational code of wm-vae"),
+        ("wm-vae", "adaptation_steps=10", "adaptation=finetuned"),
+    ],
+)
+def test_a_setting_that_does_nothing_is_refused_and_an_old_config_with_it_is_read(
+    model: str, idle: str, needed: str
+) -> None:
+    kind = model_class(model)
+    configs = kind.Config(), TrainingConfig(epochs=1)
+    with pytest.raises(InvalidSetting, match=f"--set {idle} does nothing without {needed}; set that, too, or leave"):
+        with_settings([idle], *configs)
+    name, _, value = idle.partition("=")
+    own = next(config for config in configs if hasattr(config, name))
+    assert with_settings([f"{name}={getattr(own, name)}"], *configs) == configs
+    assert getattr(from_json(type(own), {**to_json(own), name: json.loads(value)}), name) == json.loads(value)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ("own_frames=0.5", "own_steps=2"),
+        ("guide=1", "guided=0.2"),
+        ("guide=0", "agents=2"),
+        ("adaptation_steps=10", "adaptation=finetuned"),
+    ],
+)
+def test_a_setting_comes_with_what_it_needs(settings: tuple[str, ...]) -> None:
+    with_settings(settings, DMotionConfig(guide=1.0), TrainingConfig(epochs=1))
+    with_settings(["beta=0.5"], model_class("wm-vae").Config())
 
 
 def test_configs_survive_json() -> None:

@@ -10,7 +10,7 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from training_together import lose, talk, together, train_exact
+from training_together import lose, talk, together, train_asking, train_exact
 from walking_square import record_walks
 
 from dmotion_bench.errors import UsageError
@@ -84,6 +84,14 @@ def test_rows_of_the_log_that_a_stop_cuts_are_those_of_one_process(data, tmp_pat
     for world, stop_at in ((2, 5), (3, 14), (1, 22), (2, None)):
         together(world, train_exact, data, tmp_path / "run", SETTINGS, stop_at, rows)
     _require_same_training(tmp_path / "run", tmp_path / "alone")
+
+
+@pytest.mark.slow
+def test_a_model_that_asks_the_other_processes_is_measured_in_all_of_them(data, tmp_path) -> None:
+    together(2, train_asking, data, tmp_path / "run")
+    settled = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert set(settled["conditions"]["probe"]) == {"bf16", "float32"}
+    assert settled["result"]["processes"] == 2
 
 
 @pytest.mark.slow

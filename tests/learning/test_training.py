@@ -177,3 +177,16 @@ def test_of_a_training_that_diverges_no_loss_of_a_triplet_is_kept(recorded, tmp_
     run = open_run(asked, Dataset.open(recorded), tmp_path / "run", Workspace(tmp_path))
     with pytest.raises(Stopped):  # the next validation says what is wrong
         train_short(run, recorded, stop_at=2)
+
+
+@pytest.mark.parametrize(("told", "said"), [(None, True), (np.ones(4, np.float32), False)])
+def test_a_share_of_hard_triplets_that_nothing_tells_is_said(
+    recorded, tmp_path, monkeypatch, caplog, told, said
+) -> None:
+    monkeypatch.setattr(StepFigures, "per_triplet", property(lambda self: told))
+    asked = TrainingRequest(model="dmotion", settings=(*SETTINGS, "hard_share=0.5"))
+    run = open_run(asked, Dataset.open(recorded), tmp_path / "run", Workspace(tmp_path))
+    with pytest.raises(Stopped):
+        train_short(run, recorded, stop_at=2)
+    sentence = "DMotion: losses(batch) gives no per_triplet, so hard_share draws nothing by it and changes nothing."
+    assert [record.getMessage() for record in caplog.records] == [sentence] * said

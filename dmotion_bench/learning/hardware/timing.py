@@ -20,14 +20,27 @@ OFTEN: Final = 0.75
 """The other way must be faster by the margin in the median and in so many of the rounds: noise is not to decide."""
 
 
-def timed_in_turn(ways: Mapping[str, Callable[[], object]], device: torch.device) -> dict[str, tuple[float, ...]]:
-    """Seconds of each way, round by round, after one of each that does not count."""
+def timed_in_turn(
+    ways: Mapping[str, Callable[[], object]],
+    device: torch.device,
+    agreed: Callable[[Callable[[], bool]], bool] = lambda answer: answer(),
+) -> dict[str, tuple[float, ...]]:
+    """Seconds of each way, round by round, after one of each that does not count.
+
+    Args:
+        ways: What is tried.
+        device: Where it computes.
+        agreed: Answers a question alike for all processes that try the ways together: they take the same rounds.
+    """
     for way in ways.values():
         _seconds(way, device)
     rounds: list[list[float]] = []
     began = time.perf_counter()
-    while len(rounds) < FEWEST_ROUNDS or (
-        len(rounds) < MOST_ROUNDS and time.perf_counter() - began < SECONDS and not _is_decided(rounds)
+    while agreed(
+        lambda: (
+            len(rounds) < FEWEST_ROUNDS
+            or (len(rounds) < MOST_ROUNDS and time.perf_counter() - began < SECONDS and not _is_decided(rounds))
+        )
     ):
         rounds.append([_seconds(way, device) for way in ways.values()])
     return dict(zip(ways, zip(*rounds, strict=True), strict=True))

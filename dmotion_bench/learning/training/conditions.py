@@ -3,6 +3,8 @@
 What is not asked for is measured: a model and an optimiser that are thrown away afterwards take some real steps in
 each way. One thread is faster than all where other work keeps the cores busy: threads that share a step wait for the
 one that got no core.
+
+All processes that train together take these steps at the same time, for a model may ask the others in its losses.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from dmotion_bench.learning.hardware.precision import PRECISIONS, Precision, set
 from dmotion_bench.learning.hardware.threads import has_choice_of_threads, using_threads
 from dmotion_bench.learning.hardware.timing import clearly_faster, timed_in_turn
 from dmotion_bench.learning.runs.manifest import Conditions, RunSpec
+from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.optimizer import learning_rate, optimizer_of, set_learning_rate
 from dmotion_bench.learning.training.step import Stepper
 
@@ -26,21 +29,21 @@ _log = logging.getLogger(__name__)
 
 
 def choose_conditions(
-    spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int, threads: int | None = None
+    spec: RunSpec, parts: Sequence[Part], device: torch.device, companions: Companions, threads: int | None = None
 ) -> Conditions:
-    """What a training is to compute with from its first step to its last.
+    """What a training is to compute with from its first step to its last; each process measures for itself.
 
     Args:
         spec: What is asked for.
         parts: Of the training.
         device: Where it runs.
-        processes: How many share a batch.
+        companions: The processes that share a batch.
         threads: Asked for; None: as many as torch has, or a single one where that is clearly faster.
     """
     steps, precision = parts[-1].stop, settled(spec.training_config.precision, parts[-1].stop, device)
-    step = functools.cache(lambda: _trial(spec, parts, device, processes))
+    step = functools.cache(lambda: _trial(spec, parts, device, companions))
     by_threads: dict[str, float] = {}
-    if threads is None and has_choice_of_threads(steps, device, processes):
+    if threads is None and has_choice_of_threads(steps, device, companions.world):
         tried = precision or "bf16"
         counts = {str(count): count for count in (torch.get_num_threads(), 1)}
         rounds = timed_in_turn(
@@ -61,7 +64,7 @@ def choose_conditions(
     ways: dict[str, Callable[[], object]] = {
         name: functools.partial(_with_threads, threads, step(), name) for name in PRECISIONS
     }
-    seconds = timed_in_turn(ways, device)
+    seconds = timed_in_turn(ways, device, companions.of_first)
     chosen: Precision = "float32" if clearly_faster(seconds["float32"], seconds["bf16"]) else "bf16"
     medians = {name: statistics.median(each) for name, each in seconds.items()}
     return Conditions(threads=threads, precision=chosen, probe=medians, threads_probe=by_threads)
@@ -72,7 +75,9 @@ def _with_threads(threads: int, step: Callable[[Precision], object], precision: 
         step(precision)
 
 
-def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes: int) -> Callable[[Precision], object]:
+def _trial(
+    spec: RunSpec, parts: Sequence[Part], device: torch.device, companions: Companions
+) -> Callable[[Precision], object]:
     """Takes a step on the first batch of the longest phase, each time it is called."""
     part = max(parts, key=lambda part: part.stop - part.start)
     model = spec.build().laid_out().to(device)
@@ -89,7 +94,8 @@ def _trial(spec: RunSpec, parts: Sequence[Part], device: torch.device, processes
         clip_norm=spec.training_config.clip_norm,
         seed=spec.seed,
         device=device,
+        rank=companions.rank,
     )
-    part.batches.expect(0, 0, processes)
-    batch = part.batches(part.order.share(part.order.batch(0), 0, processes))
+    part.batches.expect(0, companions.rank, companions.world)
+    batch = part.batches(part.order.share(part.order.batch(0), companions.rank, companions.world))
     return lambda precision: step(batch, 0, precision)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable
 
 import numpy as np
@@ -11,6 +12,7 @@ from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.data.curriculum import Part
 from dmotion_bench.learning.model import PER_TRIPLET, TrainingConfig
 
+_log = logging.getLogger(__name__)
 _UNKNOWN = np.zeros(0, np.float32)
 
 
@@ -52,3 +54,10 @@ class Hardness:
                 "trained with '--set hard_share=0'."
             )
         self.of(part)[chosen] = losses
+
+    def warn_of_none(self, model: str) -> None:
+        """Say that nothing is drawn by losses, where no phase until the last one has told any."""
+        if all(np.isnan(losses).all() for losses in self.of_phases.values()):
+            _log.warning(
+                "%s: losses(batch) gives no per_triplet, so hard_share draws nothing by it and changes nothing.", model
+            )

@@ -165,16 +165,16 @@ class _Trainer:
 
     def _settle(self) -> Conditions:
         """The run's conditions; those of a run that begins are recorded before its first step."""
+        run = self.run
+        conditions = self.companions.of_first(lambda: run.conditions) or choose_conditions(
+            run.spec, self.parts, self.fabric.device, self.companions, run.threads
+        )
 
-        def settled() -> Conditions:
-            run, fabric = self.run, self.fabric
-            conditions = run.conditions or choose_conditions(
-                run.spec, self.parts, fabric.device, fabric.world_size, run.threads
-            )
+        def begun() -> Conditions:
             run.begin(conditions)
             return conditions
 
-        return self.companions.of_first(settled)
+        return self.companions.of_first(begun)
 
     def _result(self) -> dict[str, Any] | None:
         """The run's result, if another command has finished it since it was looked up."""
@@ -263,6 +263,8 @@ class _Trainer:
             if np.isfinite(means).all():  # if not, the training has diverged, which the next validation says
                 model, each = type(self.model).__qualname__, np.concatenate(parts)
                 self.hardness.remember(part, chosen, each, model=model, step=self.state.step + 1)
+        elif self.config.hard_share and step == self.parts[-1].start and companions.is_first:
+            self.hardness.warn_of_none(type(self.model).__qualname__)
         self.state.seconds += time.perf_counter() - began
         self.state.triplets += part.order.batch_size
         return terms, weight

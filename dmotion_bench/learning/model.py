@@ -268,7 +268,10 @@ class ForwardModel(nn.Module, ABC, Generic[ConfigT]):
         return (Phase(needs_actions=self.supervision is Supervision.ACTIONS),)
 
     def enter(self, phase: Phase) -> None:
-        """Called before a phase's first step and on resuming within it: freeze and unfreeze here."""
+        """Called before a phase's first step, on resuming within it and after each validation: freeze here.
+
+        It leaves all weights and buffers as they are. What is to happen once belongs to ``progress(0.0)``.
+        """
 
     def progress(self, share: float) -> None:
         """Called before every step with the share of the phase that is done, in [0, 1): anneal here."""

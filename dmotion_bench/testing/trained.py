@@ -6,7 +6,7 @@ from typing import Any
 
 import torch
 
-from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.model import ForwardModel, Phase
 from dmotion_bench.specs import Supervision
 from dmotion_bench.testing.losses import batch_of, losses_of
 from dmotion_bench.testing.prediction import PREDICT
@@ -93,6 +93,20 @@ def _aligned(subject: ModelTrial, *, steps: int, shift: int = 0) -> ForwardModel
                 losses.total.backward()  # type: ignore[no-untyped-call]
             optimizer.step()
             optimizer.zero_grad()
+        _require_entered_again(subject, model, phase)
     with torch.no_grad(), subject.calling("align(demonstrations)"):
         model.eval().align(subject.demonstrations(each=2, shift=shift))
     return model
+
+
+def _require_entered_again(subject: ModelTrial, model: ForwardModel[Any], phase: Phase) -> None:
+    """Check that what a phase has taught outlasts another ``enter``."""
+    learned = {name: tensor.clone() for name, tensor in model.state_dict().items()}
+    with subject.calling(f"enter({phase.name!r})"):
+        model.enter(phase)
+    changed = differing(learned, model.state_dict())
+    subject.require(
+        not changed,
+        f"enter({phase.name!r}) changes {changed}; it is called again on resuming and after each validation, so it "
+        "may only freeze and unfreeze, and what is to happen once belongs to progress(0.0)",
+    )

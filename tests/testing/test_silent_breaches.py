@@ -276,6 +276,10 @@ BREACHES: dict[str, tuple[type, str]] = {
         breaks(Sound, predict=lambda self, p, c, a: (self._next(p, c, a).mean().backward(), self._next(p, c, a))[1]),
         r"predict\(previous, current, action\) raised RuntimeError",
     ),
+    "weights that each validation would begin anew": (
+        breaks(Sound, enter=lambda self, phase: nn.init.zeros_(self.layer.bias)),
+        r"enter\('train'\) changes layer.bias; it is called again on resuming and after each validation",
+    ),
     "number as total": (
         breaks(Sound, losses=_losses(total=Tensor.item)),
         r"losses\(batch\).total is a float, not a tensor",

@@ -8,7 +8,8 @@ In this order:
 2. the data set that has the entry's fingerprint: every file's hash, and the frame cache against the video;
 3. the run's stored samples: their hash; the figures and the sums by episode, computed from them (``rescored.py``);
 4. control: the actions repeated in the simulator, and those of some tasks planned anew (``control.py``);
-5. the weights' own hash, and the held-out episodes scored anew: sample by sample, then figure by figure;
+5. the weights' own hash, and the held-out episodes scored anew: sample by sample, then figure by figure; the number of
+   labels that the budget gives on the data set of the training;
 6. the pictures, predicted anew.
 
 What cannot be shown so: that the training used the seed and the labels that it says, how long it took, and which
@@ -65,7 +66,7 @@ from leaderboard.entry_file import read_entry
 from leaderboard.paper import label_count
 from leaderboard.pictures import take_pictures
 from leaderboard.rescored import against_samples, same_pictures, same_samples, same_scores, stored_samples
-from leaderboard.sources import against_run, as_read, find_dataset, find_run
+from leaderboard.sources import against_run, as_read, find_dataset, find_run, same_labels
 from leaderboard.verdict import Findings, Verdict, copies_found, short
 
 LEAST_RESAMPLES: Final = 100  # of very few draws an interval is as narrow as one likes
@@ -179,6 +180,8 @@ def _score_anew(
     metrics = tuple(name for name in METRICS if name in check.entry.content["settings"]["metrics"] and name != CONTROL)
     scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, shared=shared)
     same_scores(check, scores)
+    if dataset.fingerprint == run.spec.fingerprint:
+        same_labels(check, run, dataset)
     check.expect(f"remarks.{CONTRACT}", check.entry.content["remarks"].get(CONTRACT), contract_remark(run, dataset))
     if samples is not None:
         same_samples(check, samples, scores.samples, settings.differing)

@@ -10,6 +10,10 @@ from typing import Final
 from dmotion_bench.actions import kind_of
 from dmotion_bench.addresses import remote_address
 from dmotion_bench.errors import DatasetError, DmbenchError, RunMismatch
+from dmotion_bench.learning.data.curriculum import labels_given
+from dmotion_bench.learning.data.label_request import LabelRequest
+from dmotion_bench.learning.data.labels import LabelBudget
+from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.earlier_planning import present_planning
@@ -171,6 +175,25 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
             f"{' and others' if len(changed) > SHOWN else ''}): what is checked is the present code"
         )
     _against_report(check, report)
+
+
+def same_labels(check: Findings, run: Run, dataset: Dataset) -> None:
+    """Compare the number of labels that a run says it was given with what its budget gives on its data set.
+
+    Raises:
+        LabelsNotAvailable: The data set does not have them.
+    """
+    spec = run.spec
+    protocol: SplitProtocol = "paper" if spec.protocol == "paper" else "episode"
+    train, validation = (TripletSet.of_split(dataset, name, protocol) for name in ("train", "validation"))
+    budget = LabelBudget(dataset, LabelRequest.parse(spec.labels), spec.seed)
+    given = {
+        purpose: count
+        for purpose, count in labels_given(train, validation, budget, model_class(spec.model).supervision).items()
+        if count
+    }
+    said = {purpose: count for purpose, count in check.entry.content["labels"]["given"].items() if count}
+    check.expect(f"labels.given, by the budget {spec.labels} and the data set", said, given)
 
 
 def _against_report(check: Findings, folder: Path) -> None:

@@ -168,6 +168,23 @@ def test_labels_that_the_run_miscounts_as_its_entry_does_are_found(workspace: Wo
     assert findings == ("labels.total, the sum of labels.given: the entry says 1, it is 4",)
 
 
+def test_labels_that_are_not_what_the_budget_gives_are_found(
+    workspace: Workspace, changed: Changed, shared: SharedSamples
+) -> None:
+    """The run says the same as its entry, and the sum is right."""
+    manifest = json.loads((workspace.runs / RUN / "run.json").read_text())
+    manifest["result"] |= {"labels": {"demonstrations": 3}, "labels_total": 3}
+    (workspace.runs / RUN / "run.json").write_text(json.dumps(manifest))
+    forged = changed(labels={"asked": "one-shot", "given": {"demonstrations": 3}, "total": 3})
+
+    assert check_entry(forged, workspace, QUICK).holds
+    findings = check_entry(forged, workspace, shared=shared).findings
+    assert findings == (
+        "labels.given, by the budget one-shot and the data set: the entry says {'demonstrations': 3}, it is "
+        "{'demonstrations': 4}",
+    )
+
+
 def test_a_report_of_validation_episodes_that_calls_itself_the_test_s_is_found(workspace: Workspace) -> None:
     validation = Dataset.open(workspace.data / "grid_world-tiny").split("validation").tolist()
 

@@ -60,6 +60,7 @@ def workspace(tmp_path_factory: pytest.TempPathFactory) -> Workspace:
     with pytest.MonkeyPatch.context() as patch:
         stands_for_every_model(patch)
         run = write_run(made.runs / "known", dataset, actions=stored_actions(dataset.spec.actions), labels="64")
+        run.finish({**(run.result or {}), "labels": {"demonstrations": 64}, "labels_total": 64})
         score_reference("oracle", dataset, SCORING)
         settings = ScoreSettings(resamples=100, control=SCORING)
         score_run(run.path, metrics=("prediction", "control"), settings=settings)

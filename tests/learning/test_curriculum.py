@@ -11,7 +11,13 @@ from torch import Tensor
 
 from dmotion_bench.learning.data import curriculum
 from dmotion_bench.learning.data.batches import FramesOnDevice
-from dmotion_bench.learning.data.curriculum import TrainingData, demonstrations_of, parts_of, steps_before_labels
+from dmotion_bench.learning.data.curriculum import (
+    TrainingData,
+    demonstrations_of,
+    labels_given,
+    parts_of,
+    steps_before_labels,
+)
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.triplets import TripletSet
@@ -50,6 +56,28 @@ def _data(dataset, labels: str) -> TrainingData:
         validation=TripletSet.of_split(dataset, "validation"),
         budget=LabelBudget(dataset, LabelRequest.parse(labels), seed=0),
     )
+
+
+@pytest.mark.parametrize(
+    ("supervision", "labels"),
+    [
+        *((Supervision.NONE, labels) for labels in ("none", "one-shot", "3", "50%", "100%")),
+        (Supervision.FEW, "3"),
+        *((Supervision.ACTIONS, labels) for labels in ("1", "2", "9", "30%", "100%")),
+    ],
+)
+def test_the_labels_of_a_budget_are_counted_as_a_training_is_given_them(
+    dataset, supervision: Supervision, labels: str
+) -> None:
+    data, apart = _data(dataset, labels), _data(dataset, labels)
+    shown = demonstrations_of(data, supervision, CPU)
+    if supervision is not Supervision.NONE:
+        parts_of((Phase(name="labelled", needs_actions=True),), data, CONFIG, 0, CPU, shown)
+    assert isinstance(apart.train, TripletSet)
+    assert isinstance(apart.validation, TripletSet)
+
+    assert labels_given(apart.train, apart.validation, apart.budget, supervision) == data.budget.given
+    assert data.budget.total > 0 or labels == "none"
 
 
 def test_few_labels_stand_beside_each_batch_of_video_and_the_step_decides_which(dataset) -> None:

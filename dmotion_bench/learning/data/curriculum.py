@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -189,6 +189,22 @@ def held_for_validation(data: TrainingData) -> TripletSet:
         StorageFull: There is no space for it.
     """
     return _evenly(data.validation, VALIDATION_TRIPLETS)
+
+
+def labels_given(
+    train: TripletSet, validation: TripletSet, budget: LabelBudget, supervision: Supervision
+) -> Mapping[str, int]:
+    """How many labels a budget gives a training, by purpose; none of them is learned from.
+
+    Raises:
+        LabelsNotAvailable: The budget asks for labels that are not there.
+    """
+    if supervision is Supervision.ACTIONS:
+        budget.actions(train, "training")
+        budget.actions(_evenly(validation, VALIDATION_TRIPLETS), "validation")
+    elif budget.request.kind != "none":
+        budget.demonstrations(train)
+    return budget.given
 
 
 def video_sample(data: TrainingData, most: int) -> TripletSet:

@@ -10,10 +10,10 @@ run: two recordings with the same seed begin their episodes alike, and one may h
 training. The seeds of the training are in its data set; where that is gone, the report says that nobody looked.
 
 An import names no environment, so any import of frames of the same size fits whose actions have the same names. It may
-list them in another order: scoring numbers them as the training did. The bounds of continuous actions are the smallest
-and largest that were recorded, so they differ; scoring takes those of the training. An import has no seeds either;
-whether its episodes are new is told by their pictures (``overlap.py``). Both take the data set that the run was trained
-on.
+list discrete ones in another order: scoring numbers them as the training did. The bounds of continuous actions are the
+smallest and largest that were recorded, so they differ; scoring takes those of the training. An import has no seeds
+either; whether its episodes are new is told by their pictures (``overlap.py``). Both take the data set that the run was
+trained on.
 """
 
 from __future__ import annotations
@@ -160,7 +160,12 @@ def _numbered(run: Run, own: Dataset, dataset: Dataset) -> Dataset:
             return dataset.numbered(mine.names)
         case Continuous(), Continuous() if _is_import(dataset) and _same_numbers(mine, theirs):
             return dataset.bounded(mine)
-    again = "import it again without '--actions'" if mine is None else "take data of the same actions"
+        case Continuous(), Continuous() if _is_import(dataset) and _differ_in_order(mine, theirs):
+            again = f"their order differs: import it again with '--action-fields {','.join(mine.names)}'"
+        case None, _:
+            again = "import it again without '--actions'"
+        case _:
+            again = "take data of the same actions"
     raise RunMismatch(
         f"the actions of {dataset.name!r} are {_listed(theirs)}, and those of {own.name!r}, which {run.name!r} was "
         f"trained on, {_listed(mine)}; {again}."
@@ -170,6 +175,10 @@ def _numbered(run: Run, own: Dataset, dataset: Dataset) -> Dataset:
 def _same_numbers(mine: Continuous, theirs: Continuous) -> bool:
     """Whether actions differ in their bounds alone, which an import takes from what was recorded."""
     return (mine.names, mine.units) == (theirs.names, theirs.units)
+
+
+def _differ_in_order(mine: Continuous, theirs: Continuous) -> bool:
+    return mine.names != theirs.names and set(mine.names) == set(theirs.names)
 
 
 def beyond_bounds(dataset: Dataset, split: SplitName) -> tuple[int, int]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
@@ -123,6 +124,10 @@ def test_an_import_of_other_bounds_is_read_with_those_of_the_training(
     other = write_noise(tmp_path / "other", spec=noise_spec(actions=replace(MOVES, units=("mm", "mm"))))
     with pytest.raises(RunMismatch, match="take data of the same actions"):
         transfer._numbered(run, monday, other)
+    swapped = write_noise(tmp_path / "swapped", spec=noise_spec(actions=replace(MOVES, names=MOVES.names[::-1])))
+    way_out = f"; their order differs: import it again with '--action-fields {','.join(MOVES.names)}'."
+    with pytest.raises(RunMismatch, match=re.escape(way_out)):
+        transfer._numbered(run, monday, swapped)
 
 
 @pytest.mark.slow

@@ -236,3 +236,14 @@ def test_demonstrations_without_pictures_are_told(tmp_path: Path) -> None:
     report = import_recordings([file], tmp_path / "out", OPTIONS)
     assert report.episodes == 1
     assert f"2 of the 3 demonstrations in {str(file)!r} hold no picture." in report.advice
+
+
+def test_cameras_that_look_like_demonstrations_are_told_of(tmp_path: Path) -> None:
+    views = {"cam_left": video(6), "cam_right": video(6, seed=1)}
+    report = import_recordings([robomimic(tmp_path / "a.hdf5", views)], tmp_path / "out", OPTIONS)
+    assert report.episodes == 2
+    told = "are called 'cam_left', 'cam_right', and each is imported as a demonstration. If they are cameras of one, "
+    assert any(told in one for one in report.advice)
+    numbered = {f"demo_{number}": video(6, seed=number) for number in range(2)}
+    plain = import_recordings([robomimic(tmp_path / "b.hdf5", numbered)], tmp_path / "plain", OPTIONS)
+    assert not any("are called" in one for one in plain.advice)

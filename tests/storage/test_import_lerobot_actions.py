@@ -76,7 +76,11 @@ FLOATS: dict[str, Any] = {"dtype": "float32", "shape": [2], "names": ["a", "b"]}
 @pytest.mark.parametrize(
     ("rows", "feature", "match"),
     [
-        ([*ROWS[:3], [0.0, np.nan], *ROWS[4:]], FLOATS, "holds 'b' = nan in command 3; a command must be finite"),
+        (
+            [*ROWS[:3], [0.0, np.nan], *ROWS[4:]],
+            FLOATS,
+            "holds 'b' = nan in command 3; a command must be finite; .* choose other numbers with '--action-fields'",
+        ),
         ([*ROWS[:3], [np.inf, 0.0], *ROWS[4:]], FLOATS, "holds 'a' = inf in command 3"),
         ([*ROWS[:3], [1.0], *ROWS[4:]], FLOATS, "different numbers of components"),
         ([*ROWS[:3], [None, 1.0], *ROWS[4:]], FLOATS, "lacks numbers of its actions"),

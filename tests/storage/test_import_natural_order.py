@@ -26,6 +26,9 @@ def ordered(names: list[str]) -> list[str]:
         ["1699999999.9876543.jpg", "1700000000.0.jpg", "1700000000.1.jpg", "1700000000.12345.jpg"],
         [f"{run}.{number}.png" for run in (1, 2, 10) for number in range(1, 21)],
         [f"1305031102.{nanoseconds}.png" for nanoseconds in (5000, 33_000_000, 166_000_000)],
+        [f"{1_305_031_102 + tick // 10}.{4567 + tick % 10 * 100_001_110}.png" for tick in range(25)],  # by ROS
+        [f"9999999999.{nanoseconds}.png" for nanoseconds in (4567, 100_000_001, 200_000_001)],
+        [f"1305031102.{tick * 62_500_001:09d}".rstrip("0") + ".png" for tick in range(1, 16)],
         ["4.png", "4.5.png", "5.png", "overview.png"],
         ["v1.5.png", "v1.25.png"],
     ],

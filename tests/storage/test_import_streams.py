@@ -155,6 +155,19 @@ def test_a_recording_may_begin_in_the_middle_of_a_video(tmp_path: Path) -> None:
     assert (report.source_frames, report.unreadable) == (20, 0)
 
 
+def test_messages_that_were_lost_are_told_of(tmp_path: Path) -> None:
+    sent, times = packets(square(30), *H264), steady(30)
+    kept = [place for place in range(30) if place not in (4, 10, 25, 26)]  # 10 is a key frame
+    report, _ = imported(
+        foxglove_stream(tmp_path / "a.mcap", [sent[place] for place in kept], [times[place] for place in kept])
+    )
+    start = "messages on '/video' were lost before they were recorded, in 3 places: the pictures after them"
+    assert any(told.startswith(start) for told in report.advice)
+    (tmp_path / "whole").mkdir()
+    whole, _ = imported(foxglove_stream(tmp_path / "whole/b.mcap", sent, times))
+    assert not any("were lost" in told for told in whole.advice)
+
+
 def test_pictures_that_come_in_another_order_stand_at_their_own_times(tmp_path: Path) -> None:
     frames, times = square(24), steady(24)
     sent = packets(frames, "libx265", "gbrp", {"x265-params": f"{LOSSLESS_H265}:bframes=2:b-adapt=0"})

@@ -189,7 +189,9 @@ def from_rows(
     chosen = tuple(columns[place] for place in wanted)
     fault = name_fault(chosen) or value_fault(chosen, exact[:, wanted])
     if fault:
-        raise BadCommands(f"holds {fault}; cut it out, or leave '--actions' out")
+        raise BadCommands(
+            f"holds {fault}; cut it out, choose other numbers with '--action-fields', or leave '--actions' out"
+        )
     if stated is not None and stated.names != columns:
         raise BadCommands(f"states bounds of {_listed(stated.names)}, and its numbers are {_listed(columns)}")
     if stated is not None:

@@ -34,6 +34,7 @@ from dmotion_bench.storage.imports.hdf5_pictures import KINDS, PackedPictures, P
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.natural_order import natural
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
+from dmotion_bench.wording import shown
 
 DEMONSTRATIONS: Final = "data"
 NEXT: Final = "next_obs/"  # robomimic's copy of the pictures, each in the place of the one before it
@@ -43,6 +44,7 @@ _CALLED: Final = frozenset({"demo_#", "episode_#", "traj_#"})
 """What groups at the root are called that are demonstrations (ManiSkill: ``traj_0``), whatever is in them."""
 _COMPARED: Final = 8  # groups that are looked into to tell demonstrations from cameras
 LISTED: Final = 30  # data sets that an error names
+_NAMED: Final = 5  # groups in a sentence
 
 
 class Hdf5Recording:
@@ -131,6 +133,7 @@ class Hdf5Recording:
             width=width,
             segments=[sound[place][1] for place in kept],
             hints=[told] if empty else [],
+            told=self._told_of_names(),
             skipped=faults.skipped,
             is_rate_assumed=self._is_rate_assumed,
         )
@@ -144,6 +147,18 @@ class Hdf5Recording:
                     yield pictures.read(number)
                 except BadPicture as error:
                     raise self._bad(str(error)) from error
+
+    def _told_of_names(self) -> list[str]:
+        """What is told of groups that are taken for demonstrations, and whose names are not of one kind."""
+        called = [name.rpartition("/")[2] for name in self._declared]
+        if len({_NUMBER.sub("#", name) for name in called}) < 2:
+            return []
+        listed = ", ".join(map(shown, called[:_NAMED])) + (" and more" if len(called) > _NAMED else "")
+        return [
+            f"the groups in {DEMONSTRATIONS!r} of {str(self.path)!r} are called {listed}, and each is imported as a "
+            "demonstration. If they are cameras of one, copy them into one group, such as "
+            f"'{DEMONSTRATIONS}/demo_0/NAME': '--camera' then chooses."
+        ]
 
     def _one_size(self, stored: h5py.Dataset, before: Size | None, progress: Callable[[int], None], count: int) -> Size:
         """Height and width of a demonstration's pictures, which must be those of the pictures before, if any."""

@@ -152,6 +152,7 @@ class McapRecording:
                 *([f"{told_of_jumps(self.path, jumped)}."] if jumped else []),
                 *self._several(senders),
                 *self._told_of_order,
+                *self._told_of_lost(),
                 *self._other_messages(commands),
             ],
             delay_ns=0 if hints or self._clock is Clock.HEADER else delay_ns(taken, logged),
@@ -225,6 +226,10 @@ class McapRecording:
             f"the pictures on {self._camera!r} have several values of 'frame_id' ({', '.join(named)}): if several "
             "cameras send there, their pictures alternate in the episodes. Record each on a topic of its own."
         ]
+
+    def _told_of_lost(self) -> list[str]:
+        """What is told of messages that were sent and not recorded."""
+        return []
 
     def _camera_messages(self) -> Iterator[tuple[int, RawMessage]]:
         """The camera's messages in the order of their times, each with its place; some may wait for earlier ones."""

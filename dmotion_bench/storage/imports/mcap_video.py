@@ -19,7 +19,9 @@ from jaxtyping import Int64, UInt8
 from dmotion_bench.storage.imports.cameras import Picture, VideoPacket, picture_decoder
 from dmotion_bench.storage.imports.mcap_recording import McapRecording, Size
 from dmotion_bench.storage.imports.mcap_records import TopicInfo
+from dmotion_bench.storage.video.h264_numbers import PictureNumbers
 from dmotion_bench.storage.video.stream import DamagedPicture, PictureStream
+from dmotion_bench.wording import counted
 
 
 class McapVideo(McapRecording):
@@ -28,6 +30,8 @@ class McapVideo(McapRecording):
     _may_sort = False  # a picture is drawn on top of the one that was sent before it
     _stream: PictureStream | None = None
     _codec = ""
+    _numbers: PictureNumbers | None = None
+    _lost = 0
 
     def pictures(self, segment: int, wanted: Int64[np.ndarray, " m"]) -> Iterator[UInt8[np.ndarray, "h w 3"]]:
         """Decode the video up to the last wanted picture."""
@@ -54,7 +58,9 @@ class McapVideo(McapRecording):
 
     def _look(self, picture: Picture, number: int) -> Iterator[tuple[int, Size]]:
         if number == 0:
-            self._stream = None
+            self._stream, self._numbers, self._lost = None, PictureNumbers(), 0
+        if self._numbers is not None and isinstance(picture, VideoPacket) and picture.codec == "h264":
+            self._lost += self._numbers.is_one_lost(picture.data)
         for message, frame, stream in self._fed(picture, number):
             yield message, stream.size(frame)
 
@@ -62,6 +68,15 @@ class McapVideo(McapRecording):
         for message, frame, stream in self._fed(None, -1):
             yield message, stream.size(frame)
         self.unreadable = self._stream.damaged if self._stream is not None else 0
+
+    def _told_of_lost(self) -> list[str]:
+        if not self._lost:
+            return []
+        return [
+            f"messages on {self._camera!r} were lost before they were recorded, in {counted(self._lost, 'place')}: the "
+            "pictures after them, up to the next key frame, are drawn on top of lost ones and look wrong. Look at them "
+            "before you train."
+        ]
 
     def _fed(self, picture: Picture | None, number: int) -> Iterator[tuple[int, VideoFrame, PictureStream]]:
         """The pictures that a message completes, each with the number of its own message and what decoded it."""

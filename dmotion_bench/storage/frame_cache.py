@@ -185,6 +185,8 @@ class CacheFile:
             raise self._not_writable(str(error.strerror)) from None
         if not os.access(self.folder, os.W_OK):
             raise self._not_writable("it is read-only")
+        if self.path.is_dir():
+            raise self._not_writable(f"a folder has the name {self.path.name!r} there")
 
     def _require_space(self) -> None:
         self._require_writable()

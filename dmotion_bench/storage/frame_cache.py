@@ -203,7 +203,7 @@ class CacheFile:
     def remove_others(self) -> None:
         """Delete the caches of earlier states of the data set; only for a folder that no other data set uses."""
         for other in self.folder.glob("frames-*.arrow"):
-            if other != self.path:
+            if other != self.path and not other.is_dir():  # which no version has written
                 other.unlink(missing_ok=True)
 
 

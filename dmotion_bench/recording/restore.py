@@ -103,7 +103,11 @@ def _remove_leftovers(path: Path) -> None:
 
 def _delete_cache(path: Path) -> None:
     """Delete the frame cache; the next use makes a new one."""
-    Dataset.open(path).cache_file.path.unlink(missing_ok=True)
+    cache = Dataset.open(path).cache_file.path
+    if cache.is_dir() and not cache.is_symlink():
+        shutil.rmtree(cache, ignore_errors=True)
+    else:
+        cache.unlink(missing_ok=True)
 
 
 def _record_anew(report: CheckReport, shards: Sequence[int], executor: Executor) -> bool:

@@ -25,12 +25,13 @@ Files = Mapping[str, tuple[str, FileFacts]]
 
 
 @contextlib.contextmanager
-def arriving(beside: Path, name: str) -> Iterator[Path]:
-    """A folder that nobody else writes into meanwhile.
+def arriving(beside: Path, name: str, files: Files) -> Iterator[Path]:
+    """A folder that nobody else writes into meanwhile; of what has arrived in it, it keeps what is still wanted.
 
     Args:
         beside: The folder of all runs, or of all data sets: what arrives is on its disk, wherever that is.
         name: Tells what arrives.
+        files: What is to arrive.
 
     Raises:
         FolderInUse: Another process fetches the same.
@@ -45,11 +46,22 @@ def arriving(beside: Path, name: str) -> Iterator[Path]:
             raise FolderInUse(f"another dmbench has just fetched {shown(name)}; run the same command again.")
         for one in (folder, *(path for path in folder.rglob("*") if path.is_dir())):
             remove_leftovers(one)
+        _keep_only(folder, files)
         yield folder
     finally:
         lock.release()
         with contextlib.suppress(OSError):
             folder.parent.rmdir()
+
+
+def _keep_only(folder: Path, files: Files) -> None:
+    """Delete what an earlier try has left and nobody verifies: from another place, or with labels."""
+    for path in sorted(folder.rglob("*"), reverse=True):  # what is in a folder before the folder
+        if path.is_dir() and not path.is_symlink():
+            with contextlib.suppress(OSError):  # not empty
+                path.rmdir()
+        elif path.relative_to(folder).as_posix() not in files:
+            path.unlink()
 
 
 def take(place: Place, files: Files, folder: Path, on_done: Callable[[int, int], None]) -> dict[str, FileFacts]:

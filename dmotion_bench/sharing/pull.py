@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from dmotion_bench.errors import DatasetError, DatasetMissing, RunError, ShareCorrupt, ShareMissing, UsageError
+from dmotion_bench.errors import (
+    DatasetCorrupt,
+    DatasetError,
+    DatasetMissing,
+    DatasetVersionUnknown,
+    RunError,
+    ShareCorrupt,
+    ShareMissing,
+    UsageError,
+)
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.arriving import Files, arriving, refused, settle, take
 from dmotion_bench.sharing.place import DATASETS, HASH, RUNS, Place, damaged
@@ -125,7 +133,7 @@ def pull_run(
     if target.exists() or target.is_symlink():
         _require_same(target, files)
         return pulled
-    with arriving(workspace.runs, f"run-{weights[:16]}-{meant.digest[:8]}") as folder:
+    with arriving(workspace.runs, f"run-{weights[:16]}-{meant.digest[:8]}", files) as folder:
         fetched = take(place, files, folder, lambda done, total: tell(meant.name, done, total))
         with refused(folder, address):
             _verify_run(folder, meant)
@@ -263,10 +271,8 @@ def pull_dataset(
             fetched = take(place, lacking, target, told)
         here = all(shard_path(target, LABELS, index).is_file() for index in range(len(manifest.shards)))
         return _with(replace(pulled, labels=here), fetched)
-    with arriving(workspace.data, f"dataset-{fingerprint[:16]}") as folder:
+    with arriving(workspace.data, f"dataset-{fingerprint[:16]}", files) as folder:
         fetched = take(place, files, folder, told)
-        if LABELS not in kinds:
-            shutil.rmtree(folder / LABELS, ignore_errors=True)  # some came with an earlier try that asked for them
         with refused(folder, address):
             manifest.write(folder)
             _verify_dataset(folder)
@@ -294,7 +300,7 @@ def _lacking(target: Path, manifest: Manifest, files: Files) -> Files:
     """
     try:
         here = "" if target.is_symlink() else Manifest.read(target).fingerprint
-    except DatasetMissing:
+    except (DatasetMissing, DatasetCorrupt, DatasetVersionUnknown):
         here = ""
     except DatasetError as error:
         raise UsageError(f"{shown(str(target))} is there already, and cannot be opened: {error}") from None

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
+import shutil
 import tempfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
-from dmotion_bench.errors import DatasetCorrupt, DatasetError, RunError, ShareCorrupt, UsageError
+from dmotion_bench.errors import DatasetCorrupt, DatasetError, FolderInUse, ShareCorrupt, UsageError
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.sharing.place import DATASETS, RUNS, Place, plain_name
 from dmotion_bench.sharing.run_share import RunShare, share_of
@@ -64,7 +66,7 @@ def push_run(place: Place, run: Run, *, mend: bool, tell: Tell) -> Pushed:
     Raises:
         RunMissing, RunCorrupt: It is not finished, or damaged.
         UsageError: It has what nobody could fetch, such as more reports than a manifest may list.
-        RunError: A file changed meanwhile.
+        FolderInUse: A file changed meanwhile.
         PlaceUnreachable: The place does not take it.
     """
     share = share_of(run)
@@ -80,11 +82,6 @@ def push_run(place: Place, run: Run, *, mend: bool, tell: Tell) -> Pushed:
     folder = f"{RUNS}/{share.weights}"
     files = {f"{folder}/{FILES}/{facts.sha256}": (run.path / name, facts) for name, facts in share.files.items()}
     sent = _send(place, files, place.sizes(f"{folder}/{FILES}"), share.name, mend=mend, tell=tell)
-    for path, facts in sent.values():
-        if file_facts(path) != facts:  # it may not stand under a hash that it does not have
-            for name in sent:
-                place.remove(name)
-            raise RunError(f"{shown(str(path))} changed while it was published; nothing of it stays. Publish it again.")
     with tempfile.TemporaryDirectory() as scratch:
         manifest = Path(scratch) / f"{share.digest}.json"
         manifest.write_bytes(share.content())
@@ -115,6 +112,8 @@ def push_dataset(place: Place, dataset: Dataset, *, labels: bool, mend: bool, te
     Raises:
         DatasetCorrupt: A file is not what was recorded.
         UsageError: It is on object storage already.
+        FolderInUse: A file changed meanwhile.
+        ShareCorrupt: What is there is damaged, and nothing is to be mended.
         PlaceUnreachable: The place does not take it.
     """
     if dataset.remote is not None:
@@ -232,6 +231,9 @@ def _send(
         name: What they belong to.
         mend: Whether files that are there are read.
         tell: Told how far it is.
+
+    Raises:
+        FolderInUse: One changed meanwhile; none of them stays.
     """
     sent = {}
     for done, (target, (path, facts)) in enumerate(files.items()):
@@ -240,7 +242,15 @@ def _send(
         if not stands or (mend and not place.holds(target, facts)):
             place.write(path, target)
             sent[target] = (path, facts)
+            if file_facts(path) != facts:  # what was sent may be neither
+                for one in sent:
+                    place.remove(one)
+                raise _changed(path)
     return sent
+
+
+def _changed(path: Path) -> FolderInUse:
+    return FolderInUse(f"{shown(str(path))} changed while it was published; it does not stay. Publish it again.")
 
 
 def _tables_stand(place: Place, folder: str, fingerprint: str, *, mend: bool) -> bool:
@@ -267,13 +277,24 @@ def _tables_stand(place: Place, folder: str, fingerprint: str, *, mend: bool) ->
 
 
 def _send_tables(place: Place, folder: str, dataset: Dataset) -> dict[str, tuple[Path, FileFacts]]:
-    """Write the tables and then ``dataset.json``, which is taken away first: a mixture is never there."""
-    place.remove(f"{folder}/{DATASET_MANIFEST}")
+    """Write the tables and then ``dataset.json``, which is taken away first: a mixture is never there.
+
+    Raises:
+        DatasetCorrupt: A table is not what was recorded.
+        FolderInUse: Another command has changed the data set meanwhile, as a recording of more episodes.
+    """
     files = {f"{folder}/{name}": (dataset.path / name, facts) for name, facts in dataset.manifest.tables.items()}
-    manifest = dataset.path / DATASET_MANIFEST
     for path, facts in files.values():
         _require_sound(dataset, path, facts)
-    files[f"{folder}/{DATASET_MANIFEST}"] = (manifest, file_facts(manifest))
-    for target, (path, _) in files.items():
-        place.write(path, target)
-    return files
+    with tempfile.TemporaryDirectory() as scratch:
+        manifest, same = Path(scratch) / DATASET_MANIFEST, False
+        shutil.copyfile(dataset.path / DATASET_MANIFEST, manifest)
+        with contextlib.suppress(DatasetError):
+            same = Manifest.read(manifest.parent) == dataset.manifest
+        if not same:
+            raise _changed(dataset.path / DATASET_MANIFEST)
+        place.remove(f"{folder}/{DATASET_MANIFEST}")
+        sent = _send(place, files, {}, dataset.name, mend=False)
+        return sent | _send(
+            place, {f"{folder}/{DATASET_MANIFEST}": (manifest, file_facts(manifest))}, {}, dataset.name, mend=False
+        )

@@ -235,6 +235,9 @@ def cache_damages(dataset: Dataset) -> Iterator[Damage]:
     """Damages of the frame cache where the video itself is sound."""
     file = dataset.cache_file
     name = f"{CACHE}/{file.path.name}"
+    if file.path.is_dir():  # it is in the way of the cache
+        yield Damage(file=name, shard=None, what="is a folder")
+        return
     if not file.path.is_file() or file.is_unchecked():
         return
     mapped = file.map()

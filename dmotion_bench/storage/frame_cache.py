@@ -185,6 +185,8 @@ class CacheFile:
             raise self._not_writable(str(error.strerror)) from None
         if not os.access(self.folder, os.W_OK):
             raise self._not_writable("it is read-only")
+        if self.path.is_dir():
+            raise self._not_writable(f"a folder has the name {self.path.name!r} there")
 
     def _require_space(self) -> None:
         self._require_writable()
@@ -201,7 +203,7 @@ class CacheFile:
     def remove_others(self) -> None:
         """Delete the caches of earlier states of the data set; only for a folder that no other data set uses."""
         for other in self.folder.glob("frames-*.arrow"):
-            if other != self.path:
+            if other != self.path and not other.is_dir():  # which no version has written
                 other.unlink(missing_ok=True)
 
 

@@ -4,8 +4,8 @@ A data set or a run that was unpacked or downloaded may hold a link to any file 
 read, published with the rest, or written through. Whoever opens such a folder therefore asks here first. A folder that
 is itself a link is its owner's, and a link to something else in the same folder leads to nothing new: both are in use.
 
-Hard links are not looked for. No unpacked file is one to a file outside, unless its reader made it so, and nothing is
-written into a file that stands.
+Hard links cannot be told from files: a copy by ``cp --link`` is made of them. Nothing is ever written into a file that
+stands, so no other file is changed by way of one.
 """
 
 from __future__ import annotations

@@ -18,6 +18,7 @@ import dmotion_bench as dm
 from dmotion_bench.errors import (
     DatasetCorrupt,
     DmbenchError,
+    FolderInUse,
     PlaceUnreachable,
     RunCorrupt,
     RunError,
@@ -363,6 +364,29 @@ def test_a_run_that_changes_while_it_is_published_leaves_nothing(
         write(self, file, name)
 
     monkeypatch.setattr(FolderPlace, "write", change)
-    with pytest.raises(DmbenchError, match="changed while it was published"):
+    with pytest.raises(FolderInUse, match="changed while it was published"):
         dm.share_push("known", folder.address)
-    assert folder.files() == {}
+    assert not any("metrics" in name or name.endswith(".json") for name in folder.files())
+    assert dm.share_list(folder.address) == []
+
+
+@pytest.mark.parametrize("name", ["video/shard-00002.mcap", "labels/shard-00002.mcap", "tasks.parquet", "dataset.json"])
+def test_a_data_set_that_changes_while_it_is_published_is_not(
+    workspace: Workspace, folder: Published, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    """As by a recording of more episodes: the last shard grows, and ``dataset.json`` says at first that it is begun."""
+    write, other = FolderPlace.write, workspace.data / "noise" / name
+
+    def change(self: FolderPlace, file: Path, to: str) -> None:
+        if name == "dataset.json" or file == other:
+            content = other.read_bytes()
+            other.write_bytes(
+                content.replace(b'"complete": true', b'"complete": false') if b"{" in content[:1] else b""
+            )
+        write(self, file, to)
+
+    monkeypatch.setattr(FolderPlace, "write", change)
+    with pytest.raises(FolderInUse, match=rf"{name}' changed while it was published"):
+        dm.share_push("noise", folder.address)
+    assert dm.share_list(folder.address) == []
+    assert not any(one.endswith((name, "dataset.json")) for one in folder.files())

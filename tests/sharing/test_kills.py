@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from killed_writes import Killed, killed_at
 from sharing.conftest import Published
-from sharing.workspaces import contents, fingerprint
+from sharing.workspaces import contents, fingerprint, weights
 
 import dmotion_bench as dm
 from dmotion_bench.errors import FolderInUse
@@ -54,3 +54,22 @@ def test_labels_are_not_fetched_while_another_command_writes_into_the_data_set(
     with held(outsider.data / "noise"), pytest.raises(FolderInUse, match="another dmbench is writing into"):
         dm.share_pull(fingerprint(workspace), folder.address, workspace=outsider.root)
     assert not (outsider.data / "noise/labels").exists()
+
+
+def test_what_an_earlier_try_left_appears_only_if_it_was_asked_for(
+    workspace: Workspace, outsider: Workspace, folder: Published
+) -> None:
+    """It may have come from another place: nothing but what the manifest lists is verified."""
+    dm.share_push(["known", "noise"], folder.address)
+    wanted = [fingerprint(workspace), weights(workspace)]
+    for what, moment in zip(wanted, (10, 8), strict=True):
+        killed(lambda what=what: dm.share_pull(what, folder.address, workspace=outsider.root), moment)  # type: ignore[misc]
+    for beside, extra in ((outsider.data, "labels/shard-00009.mcap"), (outsider.runs, "report/on/forged/report.json")):
+        (arriving,) = (beside / ".arriving").glob("[!.]*")
+        (arriving / extra).parent.mkdir(parents=True, exist_ok=True)
+        (arriving / extra).write_text("{}")
+        (arriving / "link").symlink_to(workspace.root)
+    dm.share_pull(wanted, folder.address, labels=False, workspace=outsider.root)
+    video = {name: one for name, one in contents(workspace.data / "noise").items() if not name.startswith("labels")}
+    assert contents(outsider.data / "noise") == video
+    assert not [one for one in outsider.runs.rglob("*") if "forged" in one.name or one.is_symlink()]

@@ -14,7 +14,7 @@ import pytest
 from failing_disk import lost
 from noise_world import assert_same_episode, files_of, noise_episode, noise_lengths, noise_spec, write_noise
 
-from dmotion_bench.errors import DatasetCorrupt, RecipeMismatch, UsageError
+from dmotion_bench.errors import CacheNotWritable, DatasetCorrupt, RecipeMismatch, UsageError
 from dmotion_bench.recording.restore import repair_dataset
 from dmotion_bench.specs import DatasetRecipe, SplitName
 from dmotion_bench.storage.check import check_dataset, table_damages
@@ -263,6 +263,19 @@ def test_what_is_no_file_is_neither_read_nor_waited_for(tmp_path: Path, make: Ca
     done = repair_dataset(path).salvaged
     assert done is not None
     assert done.lost == (3, 4, 5)
+
+
+def test_a_folder_in_the_place_of_the_cache_is_found_and_deleted(tmp_path: Path) -> None:
+    dataset = write_noise(tmp_path / "d")
+    dataset.cache_file.path.mkdir(parents=True)
+    (damage,) = check_dataset(dataset.path).damages
+    assert (damage.file, damage.what) == (f"cache/{dataset.cache_file.path.name}", "is a folder")
+    with pytest.raises(CacheNotWritable, match="a folder has the name 'frames-"):
+        dataset.cache()
+    assert repair_dataset(dataset.path).how == "cache"
+    assert check_dataset(dataset.path).damages == ()
+    dataset.cache_file.path.with_name("frames-0.arrow").mkdir()  # of an earlier state of the data set
+    assert len(dataset.cache().frames) == dataset.lengths.sum()
 
 
 def test_where_nothing_can_be_read_nothing_is_touched(tmp_path: Path) -> None:

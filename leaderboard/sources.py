@@ -14,7 +14,7 @@ from dmotion_bench.learning.data.curriculum import labels_given
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.data.labels import LabelBudget
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
-from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.registry import model_class
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.label_use import label_use
@@ -183,17 +183,21 @@ def same_labels(check: Findings, run: Run, dataset: Dataset) -> None:
     Raises:
         LabelsNotAvailable: The data set does not have them.
     """
-    spec = run.spec
+    said = {purpose: count for purpose, count in check.entry.content["labels"]["given"].items() if count}
+    check.expect(f"labels.given, by the budget {run.spec.labels} and the data set", said, labels_of(run.spec, dataset))
+
+
+def labels_of(spec: RunSpec, dataset: Dataset) -> dict[str, int]:
+    """How many labels a run's budget gives on its data set, by purpose.
+
+    Raises:
+        LabelsNotAvailable: The data set does not have them.
+    """
     protocol: SplitProtocol = "paper" if spec.protocol == "paper" else "episode"
     train, validation = (TripletSet.of_split(dataset, name, protocol) for name in ("train", "validation"))
     budget = LabelBudget(dataset, LabelRequest.parse(spec.labels), spec.seed)
-    given = {
-        purpose: count
-        for purpose, count in labels_given(train, validation, budget, model_class(spec.model).supervision).items()
-        if count
-    }
-    said = {purpose: count for purpose, count in check.entry.content["labels"]["given"].items() if count}
-    check.expect(f"labels.given, by the budget {spec.labels} and the data set", said, given)
+    given = labels_given(train, validation, budget, model_class(spec.model).supervision)
+    return {purpose: count for purpose, count in given.items() if count}
 
 
 def _against_report(check: Findings, folder: Path) -> None:

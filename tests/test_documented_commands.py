@@ -46,6 +46,7 @@ from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
+from leaderboard.sources import labels_of
 from recorders.planar_push.environment import PlanarPush
 from recorders.robot_push.environment import RobotPush
 
@@ -201,7 +202,8 @@ def template(tmp_path_factory: pytest.TempPathFactory) -> Path:
             run = open_run(TrainingRequest(model=model, labels=labels), dataset, None, Workspace(Path()))
             weights = run.spec.build().state_dict()
             checkpoint.save(run.best, checkpoint.with_prefix("model", weights), {})
-            run.finish(result_of(weights))
+            given = labels_of(run.spec, dataset)
+            run.finish(result_of(weights) | {"labels": given, "labels_total": sum(given.values())})
             if name == "grid_world-small":
                 score_run(run.path, settings=ScoreSettings(horizon=4))
     (root / "recordings").mkdir()

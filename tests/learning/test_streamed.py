@@ -31,6 +31,7 @@ from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training import conditions
+from dmotion_bench.learning.training.companions import Companions
 from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
@@ -380,7 +381,7 @@ def test_the_step_that_is_timed_reads_each_episode_once(walks, tmp_path, monkeyp
 
     parts = parts_of((Phase(),), training_data(run, walks), run.spec.training_config, 0, torch.device("cpu"))
     monkeypatch.setattr(Dataset, "video", counted)
-    conditions._trial(run.spec, parts, torch.device("cpu"), 1)
+    conditions._trial(run.spec, parts, torch.device("cpu"), Companions(launch("cpu")))
     parts[0].batches.close()
     assert read
     assert max(read.values()) == 1

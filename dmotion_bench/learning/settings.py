@@ -98,8 +98,8 @@ def _require_use(before: Any, config: Any, change: Mapping[str, Any], option: st
         needed, holds = field.metadata.get(_NEEDS, ("", lambda _: True))
         if not holds(config):
             raise InvalidSetting(
-                f"{option} {field.name}={change[field.name]} does nothing without {needed}; set that, too, or leave "
-                f"{field.name} out."
+                f"{option} {field.name}={change[field.name]} does nothing without {needed}; leave it out, or ask for "
+                "that, too."
             )
 
 

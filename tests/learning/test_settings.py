@@ -62,7 +62,9 @@ def test_a_setting_that_does_nothing_is_refused_and_an_old_config_with_it_is_rea
 ) -> None:
     kind = model_class(model)
     configs = kind.Config(), TrainingConfig(epochs=1)
-    with pytest.raises(InvalidSetting, match=f"--set {idle} does nothing without {needed}; set that, too, or leave"):
+    with pytest.raises(
+        InvalidSetting, match=f"--set {idle} does nothing without {needed}; leave it out, or ask for that"
+    ):
         with_settings([idle], *configs)
     name, _, value = idle.partition("=")
     own = next(config for config in configs if hasattr(config, name))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -63,7 +64,7 @@ def test_what_an_earlier_try_left_appears_only_if_it_was_asked_for(
     dm.share_push(["known", "noise"], folder.address)
     wanted = [fingerprint(workspace), weights(workspace)]
     for what, moment in zip(wanted, (10, 8), strict=True):
-        killed(lambda what=what: dm.share_pull(what, folder.address, workspace=outsider.root), moment)  # type: ignore[misc]
+        killed(partial(dm.share_pull, what, folder.address, workspace=outsider.root), moment)
     for beside, extra in ((outsider.data, "labels/shard-00009.mcap"), (outsider.runs, "report/on/forged/report.json")):
         (arriving,) = (beside / ".arriving").glob("[!.]*")
         (arriving / extra).parent.mkdir(parents=True, exist_ok=True)

@@ -12,6 +12,7 @@ import typer
 from dmotion_bench.api.settings import DEVICES
 from dmotion_bench.cli.options import AsJson, listed
 from dmotion_bench.cli.stdout import print_json, say
+from dmotion_bench.errors import Interrupted
 
 if TYPE_CHECKING:
     from dmotion_bench.benchmarks.comparison import Change, Stored
@@ -57,13 +58,18 @@ def bench(
     where = compute_device(device)
     gpu = where if where.type == "cuda" else None
     stored = None if compare is None else read_stored(compare)
+    measured: list[Result | Failure] = []
+    interrupted = False
     with progress_bar() as bar:
         task = bar.add_task("measuring", total=None, status="")
 
         def show(name: str, done: int, total: int) -> None:
             bar.update(task, completed=done, total=total, status=name)
 
-        measured = list(measure(only, seconds, show, gpu))
+        try:
+            measured.extend(measure(only, seconds, show, gpu))
+        except KeyboardInterrupt:
+            interrupted = True
     results = [one for one in measured if not isinstance(one, Failure)]
     failures = [one for one in measured if isinstance(one, Failure)]
     changed = [] if stored is None else list(changes(stored, results))
@@ -87,6 +93,11 @@ def bench(
         say(f"{failure.name} could not be measured: {failure.said}", err=True)
     if stored is not None and not as_json:
         _show_changes(stored, changed, processor(), threads)
+    if interrupted:
+        raise Interrupted(
+            "interrupted; the speeds measured so far are above. The same command measures all of them again, "
+            "with '--only train' a part of them."
+        )
     if failures or any(one.verdict == "slower" for one in changed):
         raise typer.Exit(1)
 

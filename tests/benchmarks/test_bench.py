@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import Any
@@ -69,6 +70,20 @@ def test_a_broken_plug_in_is_told_and_the_others_are_measured(
     assert told["failures"] == [{"name": "train[explosive-compact]", "said": "it raised ZeroDivisionError: by hand"}]
     assert told["processor"] == processor()
     assert told["threads"] == torch.get_num_threads()
+
+
+def test_an_interruption_keeps_what_was_measured(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def measured(*_: object) -> Iterator[Result]:
+        yield _result((3.0,))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("dmotion_bench.benchmarks.speeds.measure", measured)
+    outcome = dmbench(["bench", "--json"], capsys, monkeypatch)
+    assert outcome.code == 130
+    assert [one["name"] for one in json.loads(outcome.out)["results"]] == [_result((3.0,)).name]
+    assert "the speeds measured so far are above. The same command measures all of them again" in outcome.sentence()
 
 
 class Counted:

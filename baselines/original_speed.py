@@ -54,6 +54,8 @@ def compact_over_original(seconds: float) -> Iterator[Result]:
         (torch.get_num_threads(), time.perf_counter, "triplets/s", "all threads"),
     ):
         with _threads(threads):
+            for step in (*original.values(), *compact.values()):
+                step()  # the first one also sets up what later ones reuse
             rates = [rates_in_turn({**original, **compact}, seconds / ROUNDS, clock) for _ in range(ROUNDS)]
         best = {}
         for which, steps in (("original", original), ("compact", compact)):
@@ -83,8 +85,6 @@ def rates_in_turn(
 ) -> dict[str, float]:
     """Triplets a second of some steps; always the one that has had the least time goes on, so all see the same load."""
     spent, done = dict.fromkeys(steps, 0.0), Counter[str]()
-    for step in steps.values():
-        step()  # the first one also sets up what later ones reuse
     while (name := min(spent, key=spent.__getitem__)) not in done or spent[name] < seconds:
         began = clock()
         steps[name]()

@@ -103,7 +103,7 @@ def test_steps_are_timed_in_turn_until_each_has_had_its_time() -> None:
     slow, fast = Counted(3.0, 32), Counted(0.5, 8)
     rates = rates_in_turn({"slow": slow, "fast": fast}, 2.0, lambda: Counted.now)
     assert rates == {"slow": pytest.approx(32 / 3), "fast": pytest.approx(16)}
-    assert (slow.taken, fast.taken) == (1 + 1, 1 + 4)  # one first each, untimed
+    assert (slow.taken, fast.taken) == (1, 4)
 
 
 def test_the_ratio_is_of_each_ones_best_setting(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,8 +115,10 @@ def test_the_ratio_is_of_each_ones_best_setting(monkeypatch: pytest.MonkeyPatch)
         return {name: speeds[name] * (1 + (len(threads) > ROUNDS)) for name in steps}
 
     monkeypatch.setattr(original_speed, "rates_in_turn", rates)
+    untimed: list[int] = []
     steps = {
-        which: dict.fromkeys(names) for which, names in (("original", list(speeds)[:2]), ("compact", list(speeds)[2:]))
+        which: dict.fromkeys(names, lambda: untimed.append(len(threads)))
+        for which, names in (("original", list(speeds)[:2]), ("compact", list(speeds)[2:]))
     }
     monkeypatch.setattr(original_speed, "original_steps", lambda: steps["original"])
     monkeypatch.setattr(original_speed, "compact_steps", lambda: steps["compact"])
@@ -136,6 +138,7 @@ def test_the_ratio_is_of_each_ones_best_setting(monkeypatch: pytest.MonkeyPatch)
         "float32",
     )
     assert (threads, torch.get_num_threads()) == ([1] * ROUNDS + [before] * ROUNDS, before)
+    assert untimed == [0] * 4 + [ROUNDS] * 4  # each step once, before the rounds with so many threads
 
 
 def test_the_original_is_run_as_the_original_runs() -> None:

@@ -67,6 +67,12 @@ def test_discrete_actions(tmp_path: Path, given: Any, names: tuple[str, ...], nu
     assert dataset.states(0).actions.tolist() == numbers
 
 
+def test_a_choice_that_is_always_the_same_is_told_of(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": [0, 0, 0, 0, 1]})
+    report = import_recordings([file], tmp_path / "out", ImportOptions(size=32, actions="actions"))
+    assert any(one.startswith("all actions are '0', so they tell nothing.") for one in report.advice)
+
+
 @pytest.mark.slow
 def test_rows_of_whole_numbers_are_no_discrete_actions(tmp_path: Path) -> None:
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": [[1, 2]] * 5})

@@ -168,8 +168,8 @@ def _reason(surveys: Sequence[Survey], options: ImportOptions) -> str:
         if usual_s <= 1 / SLOWEST_HZ:
             return f"{apart} Lower '--hz' to {1 / usual_s:.2g}."
         return f"{apart} If they are to follow one another at each step, save them as files and import their folder."
-    given = [one for survey in surveys for one in survey.segments if one.commands is not None and len(one.times_ns)]
-    late = [float(one.commands.times_ns[0] - one.times_ns[-1]) / 1e9 for one in given if one.commands is not None]
+    given = [(one.commands.times_ns, one.times_ns) for survey in surveys for one in survey.segments if one.commands]
+    late = [float(commanded[0] - taken[-1]) / 1e9 for commanded, taken in given if len(commanded) and len(taken)]
     if late and min(late) >= 0:
         return f"no action comes before the last picture, the first one {duration(min(late))} after it."
     seconds = max(float(np.ptp(times)) for times in segments) / 1e9

@@ -13,7 +13,7 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, Picture, picture_decoder
-from dmotion_bench.storage.imports.commands import Commands, CommandsReader, DiscreteReader
+from dmotion_bench.storage.imports.commands import Commands, CommandsReader, DiscreteReader, EmptyCommand
 from dmotion_bench.storage.imports.continuous_messages import ContinuousReader
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMessage, TopicInfo
@@ -135,7 +135,7 @@ class McapRecording:
         if self._clock is Clock.LOG:
             taken, logged = self._sorted(taken, logged, np.array(lengths))
         self._check_order(taken, np.array(visible), self._camera)
-        given = None if commands is None else self._collected(commands)
+        given = None if commands is None else self._collected(commands, int(taken[-1]))
         if given is not None:
             self._check_clocks(taken, logged)
         jumped = jumps(taken, logged) if self._clock is Clock.LOG else []
@@ -204,11 +204,12 @@ class McapRecording:
             return None
         return ContinuousReader(self._fields, self._limits.numbers) if self._fields else DiscreteReader()
 
-    def _collected(self, commands: CommandsReader) -> Commands:
+    def _collected(self, commands: CommandsReader, last_ns: int) -> Commands:
         try:
-            return commands.collected()
+            return commands.collected(last_ns)
         except BadPicture as error:
-            raise self._bad(0, self._actions or "", error) from error
+            number = error.number if isinstance(error, EmptyCommand) else 0
+            raise self._bad(number, self._actions or "", error) from error
 
     def _other_messages(self, commands: CommandsReader | None) -> list[str]:
         """What is told of messages that other parts of the robot send on the topic of the actions."""

@@ -58,6 +58,7 @@ def advice(
     sentences = [*told, *_told_of(surveys), *dict.fromkeys(hint for survey in surveys for hint in survey.hints)]
     sentences += [
         *_delay(surveys, options),
+        *_same_times(surveys),
         *_assumed_rate(surveys, options),
         *_uneven_steps(surveys, options),
         *_gaps(surveys, options),
@@ -100,6 +101,18 @@ def _delay(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
         f"{late[0].camera!r} was recorded {durations(min(delays), max(delays))} after its own time stamps, more than "
         "half a step, and the actions go with the pictures by the times of recording: if the camera's clock is right, "
         "use '--clock header'."
+    ]
+
+
+def _same_times(surveys: Sequence[Survey]) -> list[str]:
+    """That pictures have the time of the one before, as of a topic that was recorded twice."""
+    pictures = sum(survey.pictures for survey in surveys)
+    same = sum(int((np.diff(one.times_ns) == 0).sum()) for survey in surveys for one in survey.segments)
+    if same <= RARE * pictures:
+        return []
+    return [
+        f"{same:,} of {pictures:,} pictures have the time of the one before, and of several with one time the last "
+        "counts. If a topic was recorded twice, leave one out."
     ]
 
 
@@ -173,6 +186,11 @@ def _reason(surveys: Sequence[Survey], options: ImportOptions) -> str:
     if late and min(late) >= 0:
         return f"no action comes before the last picture, the first one {duration(min(late))} after it."
     seconds = max(float(np.ptp(times)) for times in segments) / 1e9
+    if not seconds:
+        return (
+            "all pictures of a recording have one time. Save those of an MCAP file in a folder, import that, and say "
+            "how many there are a second with '--source-hz'."
+        )
     shorter = ", or allow shorter episodes with '--min-frames 3'" if options.min_frames > 3 else ""
     longest_one = f"the longest recording takes {duration(seconds)}."
     return f"{longest_one} Raise '--hz', or bridge longer gaps with '--max-gap'{shorter}."

@@ -12,7 +12,15 @@ import numpy as np
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Survey
-from dmotion_bench.storage.imports.timeline import MOST_TICKS, Piece, gaps_ns, interval_ns, length_for, steady_hz
+from dmotion_bench.storage.imports.timeline import (
+    MOST_TICKS,
+    Piece,
+    gaps_ns,
+    interval_ns,
+    length_for,
+    meant_hz,
+    steady_hz,
+)
 from dmotion_bench.storage.split import FEWEST_EPISODES
 from dmotion_bench.wording import duration, durations
 
@@ -130,7 +138,7 @@ def _uneven_steps(surveys: Sequence[Survey], options: ImportOptions) -> list[str
     """That some steps are much longer than others, because the camera's rate is no multiple of the new one."""
     rates = Counter[float]()
     for times_ns in (segment.times_ns for survey in surveys for segment in survey.segments):
-        rate = _rounded(steady_hz(times_ns))
+        rate = meant_hz(steady_hz(times_ns))
         shown = rate / options.hz  # source frames a step
         fewest = math.floor(shown)
         if fewest and RARE < shown - fewest < 1 - RARE and fewest + 1 > UNEVEN_STEPS * fewest:
@@ -144,12 +152,6 @@ def _uneven_steps(surveys: Sequence[Survey], options: ImportOptions) -> list[str
         f"{rate:g} Hz read at {options.hz:g} Hz makes some steps {fewest + 1} pictures long and others {fewest}; "
         f"{better} does not."
     ]
-
-
-def _rounded(hz: float) -> float:
-    """The whole number that a rate is meant to be, if there is one within half a percent; else four digits."""
-    whole = round(hz)
-    return float(whole) if abs(hz - whole) <= hz / 200 else float(f"{hz:.4g}")
 
 
 def _gaps(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:

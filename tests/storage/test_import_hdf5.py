@@ -96,6 +96,9 @@ def test_cameras_are_found_by_path_or_by_name_and_listed(tmp_path: Path) -> None
         ImportOptions(camera="front"),
     )
     refused(file, "has no 'q' for '--actions'", ImportOptions(camera="wrist", actions="q"))
+    refused(file, r"for '--camera'; did you mean 'obs/agentview_image'\? In '/data", ImportOptions(camera="agentview"))
+    near = ImportOptions(camera="wrist", actions="action")
+    refused(file, r"has no 'action' for '--actions'; did you mean 'actions'\? In '/data/demo_0' are:", near)
     grey = imported(file, ImportOptions(size=32, camera="wrist"))
     np.testing.assert_array_equal(grey.video(0), np.repeat(frames[4:, ..., :1], 3, axis=3))
 

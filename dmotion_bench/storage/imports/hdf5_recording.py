@@ -40,6 +40,7 @@ from dmotion_bench.storage.imports.hdf5_contents import ERRORS, datasets, descri
 from dmotion_bench.storage.imports.hdf5_pictures import KINDS, PackedPictures, Pixels, holds_pictures, pictures_of
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.natural_order import natural
+from dmotion_bench.storage.imports.near_names import did_you_mean
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
 from dmotion_bench.wording import shown
 
@@ -253,7 +254,9 @@ class Hdf5Recording:
         first = self._declared[0]
         listed = "".join(f"\n  {name} {described(dataset)}" for name, dataset in list(found.items())[:LISTED])
         wanted = f"{asked!r} for '--{option}'" if asked is not None else f"pictures ({KINDS})"
-        raise self._bad(f"has no {wanted}; in {first!r} are:{listed or ' no data sets'}", stop="")
+        hint = "" if asked is None else did_you_mean(given, asked)
+        where = f"{'In' if hint else 'in'} {first!r} are:{listed or ' no data sets'}"
+        raise self._bad(f"has no {wanted}; {hint}{where}", stop="")
 
     def _pictures(self, stored: h5py.Dataset) -> Pixels | PackedPictures:
         if not holds_pictures(stored, self._limits):

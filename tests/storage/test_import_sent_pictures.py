@@ -129,6 +129,8 @@ def test_times_that_skip_a_picture_of_a_video_are_told(tmp_path: Path) -> None:
     assert not told("c.mcap", (11, 22, 23))  # key frames come next
     uneven = (np.array(times) + np.arange(40) % 3 * 40_000_000).tolist()
     assert not told("d.mcap", (4, 17), uneven)
+    late = [t_ns + (place in (4, 17)) * 80_000_000 for place, t_ns in enumerate(times)]
+    assert not told("e.mcap", (), late)
 
 
 def test_pictures_of_h265_that_need_a_lost_one_are_left_out(tmp_path: Path) -> None:

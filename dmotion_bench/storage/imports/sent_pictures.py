@@ -43,10 +43,14 @@ def pictures_kept(numbers: Int64[np.ndarray, " n"]) -> int:
 def skips(times_ns: Times, is_key: Bool[np.ndarray, " n"]) -> int:
     """In how many places the times of a steady camera skip a picture, and the next one needs those before it.
 
+    A picture that was only late comes shortly before the next one.
+
     Args:
         times_ns: When each picture was taken, ascending.
         is_key: Whether it needs no other.
     """
     if not steady_hz(times_ns):
         return 0
-    return int(((2 * np.diff(times_ns) >= 3 * interval_ns(times_ns)) & ~is_key[1:]).sum())
+    intervals, usual = np.diff(times_ns), interval_ns(times_ns)
+    was_late = np.append(2 * intervals[1:] < usual, False)
+    return int(((2 * intervals >= 3 * usual) & ~was_late & ~is_key[1:]).sum())

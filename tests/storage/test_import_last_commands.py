@@ -21,7 +21,7 @@ from dmotion_bench.storage.imports.options import ImportOptions
 
 LEROBOT = ImportOptions(size=32, actions="action", action_fields=("action.0", "action.1"))
 HDF5 = ImportOptions(size=32, actions="actions")
-NOTHING = [[1.0, np.nan], [np.inf, 0.0], [None, 1.0], None]
+NOTHING = [[1.0, np.nan], [np.inf, 0.0], [None, 1.0], [], None]
 """Rows of two numbers that hold no command."""
 
 

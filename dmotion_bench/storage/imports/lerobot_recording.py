@@ -312,7 +312,7 @@ def _matrix(column: Any, rows: list[int], most: int) -> np.ndarray[Any, Any]:
     values = column.take(pa.array(rows, pa.int64())).combine_chunks()
     width = 1
     if pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type) or pa.types.is_large_list(values.type):
-        if len(values) and not values[-1].is_valid:
+        if len(values) and not values[-1].as_py():
             values = values[:-1]
         lengths = compute.list_value_length(values)
         if lengths.null_count or len(compute.unique(lengths)) > 1:

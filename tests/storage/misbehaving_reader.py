@@ -44,6 +44,8 @@ class Misbehaving:
                     pass
             case "greedy":
                 np.ones(1 << 29, np.uint8)
+            case "crowded":
+                raise ImportError("a.so: failed to map segment from shared object")
             case "writes":
                 Path(f"{self.path}.txt").write_text("x" * 100)
             case "truncated":

@@ -106,6 +106,7 @@ class Ended(subprocess.Popen[bytes]):
         ("busy", "keeps its decoder busy for more than 1 s without another picture"),
         ("sticky", "keeps its decoder busy for more than 1 s without another picture"),
         ("greedy", "takes more than 256 MiB of memory to be decoded; .*'--max-memory 512'"),
+        ("crowded", "takes more than 256 MiB of memory to be decoded; .*'--max-memory 512'"),
         ("surprise", "the recording cannot be read: LookupError: "),
         ("writes", "cannot be read: (OSError|FileNotFoundError|PermissionError)"),
     ],

@@ -191,7 +191,7 @@ def test_an_action_of_a_oneof_counts_where_it_is_set(tmp_path: Path) -> None:
     messages = [value(value=7).SerializeToString(), second, b"\x08\x00"]
     dataset = imported(protobuf_file(tmp_path / "a.mcap", schema, messages), tmp_path)
     assert [dataset.spec.actions.names[number] for number in dataset.states(0).actions] == ["7", "5", "0"]
-    with pytest.raises(RecordingImportError, match="message 1 on '/action' has none of the fields"):
+    with pytest.raises(RecordingImportError, match=r"message 1 on .* has none of the fields .*'--action-fields'"):
         imported(protobuf_file(tmp_path / "b.mcap", schema, [second, b"", second]), tmp_path / "b")
 
 

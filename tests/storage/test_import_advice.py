@@ -159,7 +159,7 @@ def test_numbers_that_never_change_are_told_of() -> None:
     assert one.startswith("linear.y is 0 in all actions, so it tells nothing; leave it out with '--action-fields ang")
     assert constant_advice(twist, [first + np.arange(2)[:, None]]) == ()
     assert constant_advice(twist, [second]) == ()  # a single action says nothing about others
-    assert constant_advice(Discrete(("stay",)), [np.zeros(3, np.int64)]) == ()
+    assert constant_advice(Discrete(("stay", "go")), [np.zeros(3, np.int64), np.ones(3, np.int64)]) == ()
     assert constant_advice(None, [None]) == ()
 
 

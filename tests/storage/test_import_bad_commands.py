@@ -29,7 +29,9 @@ from dmotion_bench.storage.imports.timeline import Piece
 @pytest.mark.slow
 def test_an_unknown_field_lists_those_there_are(tmp_path: Path) -> None:
     file = twists(tmp_path / "bag", AWKWARD)
-    for field, said in (("linear.q", "did you mean 'linear.[xyz]'. I"), ("speed", "i")):
+    near = {"linear.q": "linear.[xyz]", "linaer": "linear", "/Angular/Z": "angular.z"}
+    hints = {field: f"did you mean '{known}'. I" for field, known in near.items()}
+    for field, said in (hints | {"speed": "i"}).items():
         refused(
             file,
             f"message 0 on '/cmd_vel' has no field '{field}'; {said}ts fields are: linear.x, linear.y, linear.z, "

@@ -201,6 +201,11 @@ def test_other_files(tmp_path: Path, content: bytes, match: str) -> None:
     refused(tmp_path / "a.mcap", tmp_path, f"a.mcap' .*{match}")
 
 
+def test_pictures_in_one_file_are_a_video_without_container(tmp_path: Path) -> None:
+    (tmp_path / "a.mjpeg").write_bytes(2 * compressed(video(1)[0], "jpeg"))
+    refused(tmp_path / "a.mjpeg", tmp_path, "a.mjpeg' is no recording .*'ffmpeg -i IN OUT.mkv'")
+
+
 @pytest.mark.parametrize("name", ["a.mcap", "a.mp4", "a.h5", "1.png", "b.parquet"])
 def test_files_that_were_not_fetched(tmp_path: Path, name: str) -> None:
     folder = tmp_path / "clone"

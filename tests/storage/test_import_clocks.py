@@ -54,6 +54,16 @@ def test_a_jump_is_found_where_it_is() -> None:
     assert [round(jump.by_ns / HOUR_NS) for jump in twice] == [1, 2]
 
 
+def test_pictures_of_one_time_are_told_of(tmp_path: Path) -> None:
+    stamps = taken()
+    twice = recording(tmp_path / "a", np.repeat(stamps, 2), np.repeat(stamps, 2))
+    report = import_recordings([twice], tmp_path / "twice", ImportOptions(size=8))
+    assert any(one.startswith("40 of 80 pictures have the time of the one before") for one in report.advice)
+    still = recording(tmp_path / "b", np.repeat(stamps[:1], 40), np.repeat(stamps[:1], 40))
+    with pytest.raises(RecordingImportError, match=r"all pictures of a recording have one time\. .* '--source-hz'"):
+        import_recordings([still], tmp_path / "still", ImportOptions(size=8))
+
+
 def test_what_is_no_jump_of_the_recorder_s_clock() -> None:
     stamps = taken()
     assert jumps(stamps, stamps) == []

@@ -100,6 +100,8 @@ def test_joints_of_another_publisher_do_not_count(tmp_path: Path) -> None:
     unknown = dataclasses.replace(options, action_fields=("position.wrst",))
     fields = "position.finger, position.elbow, position.wrist"
     refused(file, f"has no field 'position.wrst'; did you mean 'position.wrist'. Its fields are: {fields}", unknown)
+    group = dataclasses.replace(options, action_fields=("positn",))
+    refused(file, "has no field 'positn'; did you mean 'position'. Its fields are: position.finger", group)
     several = dataclasses.replace(options, action_fields=("position",))
     refused(file, "or the joints of one publisher on the topic", several)
 
@@ -278,6 +280,8 @@ def test_robomimic_s_actions(tmp_path: Path) -> None:
     one = imported(file, tmp_path / "one", dataclasses.replace(options, action_fields=("actions.6", "actions.0")))
     assert bits(one.states(0).actions) == bits(given["demo_0"][:4, [6, 0]])
     refused(file, "has no field 'x' .*its fields are: 'actions.0'", dataclasses.replace(options, action_fields=("x",)))
+    typo = dataclasses.replace(options, action_fields=("action[6]",))
+    refused(file, r"did you mean 'actions.6'\? .* \('/data/demo_0/actions'\)\.$", typo)  # and no way around damage
     few = dataclasses.replace(options, limits=ImportLimits(numbers=34))
     refused(file, "holds 35 numbers as actions, more than the 34", few)
 

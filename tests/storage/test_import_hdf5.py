@@ -67,6 +67,12 @@ def test_discrete_actions(tmp_path: Path, given: Any, names: tuple[str, ...], nu
     assert dataset.states(0).actions.tolist() == numbers
 
 
+def test_a_choice_that_is_always_the_same_is_told_of(tmp_path: Path) -> None:
+    file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": [0, 0, 0, 0, 1]})
+    report = import_recordings([file], tmp_path / "out", ImportOptions(size=32, actions="actions"))
+    assert any(one.startswith("all actions are '0', so they tell nothing.") for one in report.advice)
+
+
 @pytest.mark.slow
 def test_rows_of_whole_numbers_are_no_discrete_actions(tmp_path: Path) -> None:
     file = robomimic(tmp_path / "a.hdf5", {"demo_0": video(5)}, actions={"demo_0": [[1, 2]] * 5})
@@ -90,6 +96,9 @@ def test_cameras_are_found_by_path_or_by_name_and_listed(tmp_path: Path) -> None
         ImportOptions(camera="front"),
     )
     refused(file, "has no 'q' for '--actions'", ImportOptions(camera="wrist", actions="q"))
+    refused(file, r"for '--camera'; did you mean 'obs/agentview_image'\? In '/data", ImportOptions(camera="agentview"))
+    near = ImportOptions(camera="wrist", actions="action")
+    refused(file, r"has no 'action' for '--actions'; did you mean 'actions'\? In '/data/demo_0' are:", near)
     grey = imported(file, ImportOptions(size=32, camera="wrist"))
     np.testing.assert_array_equal(grey.video(0), np.repeat(frames[4:, ..., :1], 3, axis=3))
 

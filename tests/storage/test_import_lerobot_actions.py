@@ -67,6 +67,12 @@ def test_lerobot_s_own_actions(exported: Path, tmp_path: Path, stated: Any, name
     assert bits(dataset.states(0).actions) == bits(np.float32(ROWS[:6]))
     part = imported(folder, tmp_path / "part", dataclasses.replace(LEROBOT, action_fields=(names[1],)))
     np.testing.assert_array_equal(part.states(0).actions[:, 0], range(6))
+    unknown = dataclasses.replace(LEROBOT, action_fields=("velocity",))
+    refused(folder, "has no field 'velocity' in its actions; its fields are: .* [(]feature 'action'", unknown)
+    feature = dataclasses.replace(LEROBOT, actions="actions")
+    refused(folder, "has no feature 'actions' for '--actions'; did you mean 'action'. Its features are: act", feature)
+    camera = dataclasses.replace(LEROBOT, camera="camrea")
+    refused(folder, "has no camera 'camrea'; did you mean 'observation.images.camera'. Its cameras are: ", camera)
 
 
 FLOATS: dict[str, Any] = {"dtype": "float32", "shape": [2], "names": ["a", "b"]}

@@ -14,7 +14,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.importing import import_recordings
 from dmotion_bench.storage.imports.options import ImportOptions, ImportReport
-from dmotion_bench.storage.imports.picture_numbers import begun_anew, repeated_with_others, steps_between
+from dmotion_bench.storage.imports.picture_numbers import begun_anew, hz_by_times, repeated_with_others, steps_between
 
 OPTIONS = ImportOptions(size=32, source_hz=10)
 T0 = 1_700_000_000
@@ -55,6 +55,19 @@ def test_one_lost_picture_is_replaced_by_the_one_before(tmp_path: Path) -> None:
     np.testing.assert_array_equal(dataset.video(0), frames[[0, 1, 2, 2, 3, 4]])
     assert (report.repeated, report.source_hz) == (1, pytest.approx(8))
     assert f"in 1 place of {str(tmp_path / 'run')!r}: " in report.advice[0]
+
+
+@pytest.mark.parametrize(("scale", "digits"), [(1, 2), (1, 3), (1, 9), (10**3, 0), (10**6, 0), (10**9, 0)], ids=str)
+def test_times_in_names_tell_a_rate(tmp_path: Path, scale: int, digits: int) -> None:
+    times = [(100 * T0 + 4 * number) * scale for number in range(20) if number != 12]
+    names = [f"left_{time // 100}{f'.{time % 100 * 10**digits // 100:0{digits}}' if digits else ''}" for time in times]
+    assert hz_by_times(names) == 25
+    assert hz_by_times([f"{number}.png" for number in range(20)]) is None
+    fill(tmp_path / "run", [f"{name}.png" for name in names])
+    assumed, _ = imported(tmp_path / "run", ImportOptions(size=32))
+    assert "the names of the pictures are times, as of 25 pictures a second: say '--source-hz 25'." in assumed.advice
+    said = import_recordings([tmp_path / "run"], tmp_path / "said", ImportOptions(size=32, source_hz=25))
+    assert not any("are times" in one for one in said.advice)
 
 
 def test_a_gap_may_be_bridged(tmp_path: Path) -> None:

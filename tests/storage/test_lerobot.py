@@ -272,7 +272,8 @@ def refused(path: Path, folder: Path, match: str, options: ImportOptions | None 
 @pytest.mark.slow
 def test_a_missing_feature_lists_those_there_are(exported: ExportReport, tmp_path: Path) -> None:
     refused(exported.path, tmp_path, f"its cameras are: '{CAMERA}'", ImportOptions(camera="front"))
-    refused(exported.path, tmp_path, "its features are: action, episode_index", ImportOptions(actions="actoin"))
+    near = r"did you mean 'action'\? Its features are: action, episode_index"
+    refused(exported.path, tmp_path, near, ImportOptions(actions="actoin"))
 
 
 def test_an_older_format_is_named(exported: ExportReport, tmp_path: Path) -> None:

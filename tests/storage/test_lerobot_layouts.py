@@ -139,7 +139,9 @@ def test_actions_are_found_by_the_last_part_of_their_name(tmp_path: Path) -> Non
     (folder / "meta/info.json").write_text(json.dumps(info))
     refused(folder, "more than one feature 'stamp' for '--actions'", replace(OPTIONS, actions="stamp"))
     refused(
-        folder, "no feature 'tion' for '--actions'; its features are: action, other", replace(OPTIONS, actions="tion")
+        folder,
+        "no feature 'tion' for '--actions'; did you mean 'action'. Its features are: action, other",
+        replace(OPTIONS, actions="tion"),
     )
     info["features"]["robot.action"] = info["features"].pop("action")
     (folder / "meta/info.json").write_text(json.dumps(info))

@@ -12,7 +12,15 @@ import numpy as np
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Survey
-from dmotion_bench.storage.imports.timeline import MOST_TICKS, Piece, gaps_ns, interval_ns, length_for, steady_hz
+from dmotion_bench.storage.imports.timeline import (
+    MOST_TICKS,
+    Piece,
+    gaps_ns,
+    interval_ns,
+    length_for,
+    meant_hz,
+    steady_hz,
+)
 from dmotion_bench.storage.split import FEWEST_EPISODES
 from dmotion_bench.wording import duration, durations
 
@@ -58,6 +66,7 @@ def advice(
     sentences = [*told, *_told_of(surveys), *dict.fromkeys(hint for survey in surveys for hint in survey.hints)]
     sentences += [
         *_delay(surveys, options),
+        *_same_times(surveys),
         *_assumed_rate(surveys, options),
         *_uneven_steps(surveys, options),
         *_gaps(surveys, options),
@@ -103,6 +112,18 @@ def _delay(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
     ]
 
 
+def _same_times(surveys: Sequence[Survey]) -> list[str]:
+    """That pictures have the time of the one before, as of a topic that was recorded twice."""
+    pictures = sum(survey.pictures for survey in surveys)
+    same = sum(int((np.diff(one.times_ns) == 0).sum()) for survey in surveys for one in survey.segments)
+    if same <= RARE * pictures:
+        return []
+    return [
+        f"{same:,} of {pictures:,} pictures have the time of the one before, and of several with one time the last "
+        "counts. If a topic was recorded twice, leave one out."
+    ]
+
+
 def _assumed_rate(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
     """That nobody knows when the pictures were taken."""
     if not any(survey.is_rate_assumed for survey in surveys):
@@ -117,7 +138,7 @@ def _uneven_steps(surveys: Sequence[Survey], options: ImportOptions) -> list[str
     """That some steps are much longer than others, because the camera's rate is no multiple of the new one."""
     rates = Counter[float]()
     for times_ns in (segment.times_ns for survey in surveys for segment in survey.segments):
-        rate = _rounded(steady_hz(times_ns))
+        rate = meant_hz(steady_hz(times_ns))
         shown = rate / options.hz  # source frames a step
         fewest = math.floor(shown)
         if fewest and RARE < shown - fewest < 1 - RARE and fewest + 1 > UNEVEN_STEPS * fewest:
@@ -131,12 +152,6 @@ def _uneven_steps(surveys: Sequence[Survey], options: ImportOptions) -> list[str
         f"{rate:g} Hz read at {options.hz:g} Hz makes some steps {fewest + 1} pictures long and others {fewest}; "
         f"{better} does not."
     ]
-
-
-def _rounded(hz: float) -> float:
-    """The whole number that a rate is meant to be, if there is one within half a percent; else four digits."""
-    whole = round(hz)
-    return float(whole) if abs(hz - whole) <= hz / 200 else float(f"{hz:.4g}")
 
 
 def _gaps(surveys: Sequence[Survey], options: ImportOptions) -> list[str]:
@@ -168,11 +183,16 @@ def _reason(surveys: Sequence[Survey], options: ImportOptions) -> str:
         if usual_s <= 1 / SLOWEST_HZ:
             return f"{apart} Lower '--hz' to {1 / usual_s:.2g}."
         return f"{apart} If they are to follow one another at each step, save them as files and import their folder."
-    given = [one for survey in surveys for one in survey.segments if one.commands is not None and len(one.times_ns)]
-    late = [float(one.commands.times_ns[0] - one.times_ns[-1]) / 1e9 for one in given if one.commands is not None]
+    given = [(one.commands.times_ns, one.times_ns) for survey in surveys for one in survey.segments if one.commands]
+    late = [float(commanded[0] - taken[-1]) / 1e9 for commanded, taken in given if len(commanded) and len(taken)]
     if late and min(late) >= 0:
         return f"no action comes before the last picture, the first one {duration(min(late))} after it."
     seconds = max(float(np.ptp(times)) for times in segments) / 1e9
+    if not seconds:
+        return (
+            "all pictures of a recording have one time. Save those of an MCAP file in a folder, import that, and say "
+            "how many there are a second with '--source-hz'."
+        )
     shorter = ", or allow shorter episodes with '--min-frames 3'" if options.min_frames > 3 else ""
     longest_one = f"the longest recording takes {duration(seconds)}."
     return f"{longest_one} Raise '--hz', or bridge longer gaps with '--max-gap'{shorter}."

@@ -11,13 +11,14 @@ exactly halfway is in force already, however its time was rounded.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
 import numpy as np
-from jaxtyping import Int64
+from jaxtyping import Bool, Int64
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, guarded, ros_decoder, well_known
@@ -51,8 +52,40 @@ class DiscreteCommands:
 Commands = DiscreteCommands | ContinuousCommands
 
 
+class EmptyCommand(BadPicture):
+    """A message that holds no command where one is needed.
+
+    Args:
+        number: Of the message on its topic.
+        reason: What it holds, to follow the message's number.
+    """
+
+    def __init__(self, number: int, reason: str) -> None:
+        super().__init__(reason)
+        self.number = number
+
+
+def first_needed(times_ns: Int64[np.ndarray, " n"], is_whole: Bool[np.ndarray, " n"], last_ns: int) -> int | None:
+    """The place of the first message without a command that some step would need; None if there is none.
+
+    Before the first command nothing is commanded, and what is commanded at the last picture or later leads to none. All
+    are needed if no message holds a command.
+
+    Args:
+        times_ns: Of the messages, in the order of the file.
+        is_whole: Whether they hold commands.
+        last_ns: When the last picture was taken.
+    """
+    if not is_whole.any():
+        return 0 if len(times_ns) else None
+    needed = ~is_whole & (times_ns >= times_ns[is_whole].min()) & (times_ns < last_ns)
+    return int(needed.argmax()) if needed.any() else None
+
+
 def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
     """The function that turns a topic's messages into names of actions; it raises ``BadPicture`` for a bad message.
+
+    The name is empty where the message holds nothing: no text, null in JSON, a number that is none.
 
     Raises:
         RecordingImportError: The messages cannot be discrete actions.
@@ -75,7 +108,12 @@ def command_decoder(topic: TopicInfo) -> Callable[[bytes], str]:
             "to import the video alone, leave '--actions' out."
             f"{way_out(topic)}"
         )
-    return lambda data: action_name(_value(decode(data)))
+
+    def name_in(data: bytes) -> str:
+        value = _value(decode(data))
+        return "" if _is_nothing(value) else action_name(value)
+
+    return name_in
 
 
 class CommandsReader(Protocol):
@@ -95,8 +133,16 @@ class CommandsReader(Protocol):
     def add(self, t_ns: int, command: Any) -> None:
         """Take a decoded command."""
 
-    def collected(self) -> Commands:
-        """All commands so far, in the order of their times."""
+    def collected(self, last_ns: int) -> Commands:
+        """All commands so far, in the order of their times, without messages that hold none and that no step needs.
+
+        Args:
+            last_ns: When the last picture was taken.
+
+        Raises:
+            EmptyCommand: A message between the first command and the last picture holds none.
+            BadPicture: No message holds a command.
+        """
 
     @property
     def others(self) -> int:
@@ -124,11 +170,23 @@ class DiscreteReader:
         self._times.append(t_ns)
         self._names.append(self._known.setdefault(command, command))
 
-    def collected(self) -> DiscreteCommands:
-        """All commands so far, in the order of their times."""
+    def collected(self, last_ns: int) -> DiscreteCommands:
+        """All commands so far, in the order of their times; see ``CommandsReader``.
+
+        Raises:
+            EmptyCommand: A message holds no action where one is needed.
+        """
         times = np.array(self._times, np.int64)
+        is_whole = np.array([bool(name) for name in self._names], bool)
+        if (place := first_needed(times, is_whole, last_ns)) is not None:
+            raise EmptyCommand(
+                place,
+                "holds nothing, which is no choice out of a few; cut the recording before it, or import the video "
+                "alone by leaving '--actions' out",
+            )
         order = np.argsort(times, kind="stable")
-        return DiscreteCommands(times_ns=times[order], names=[self._names[number] for number in order.tolist()])
+        kept = order[is_whole[order]]
+        return DiscreteCommands(times_ns=times[kept], names=[self._names[number] for number in kept.tolist()])
 
     @property
     def others(self) -> int:
@@ -152,6 +210,29 @@ def action_name(value: Any) -> str:
         f"holds {str(value)[:60]!r}, a measurement and no choice out of a few; for continuous actions name the fields "
         "with their numbers in '--action-fields', or import the video alone by leaving '--actions' out"
     )
+
+
+def from_choices(
+    rows: Sequence[Any], times_ns: Int64[np.ndarray, " n"], vocabulary: Sequence[str] = ()
+) -> DiscreteCommands:
+    """The commands of a format that keeps them as a table.
+
+    Args:
+        rows: One for each picture, of which the last may be empty, or one less: the last leads to no picture.
+        times_ns: When each picture was taken.
+        vocabulary: See ``DiscreteCommands``; a row may hold the number of a name.
+
+    Raises:
+        BadPicture: A row is no choice out of a few.
+    """
+    single = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in rows]
+    if len(single) == len(times_ns) and single and _is_nothing(single[-1]):
+        single.pop()
+    names = []
+    for name in map(action_name, single):
+        number = int(name) if name.isdecimal() else -1
+        names.append(vocabulary[number] if 0 <= number < len(vocabulary) else name)
+    return DiscreteCommands(times_ns=times_ns[: len(names)], names=names, vocabulary=vocabulary)
 
 
 def ordered_names(recordings: Sequence[DiscreteCommands], most: int) -> tuple[str, ...]:
@@ -182,6 +263,11 @@ def _is_integer(name: str) -> bool:
     return name.removeprefix("-").isdecimal() and name.isascii()
 
 
+def _is_nothing(value: Any) -> bool:
+    """Whether a value says that there is no action."""
+    return value is None or value == "" or (isinstance(value, float) and math.isnan(value))
+
+
 def _value(message: Any) -> Any:
     """The one field that says the action, or the message itself where it is a bare value."""
     if isinstance(message, str | int | float | list):
@@ -192,7 +278,10 @@ def _value(message: Any) -> Any:
                 return message[field]
         elif hasattr(message, field) and (not is_protobuf(message) or field in fields_given(message)):
             return getattr(message, field)
-    raise BadPicture(f"has none of the fields {', '.join(FIELDS)}")
+    raise BadPicture(
+        f"has none of the fields {', '.join(FIELDS)}; for continuous actions name the fields with their numbers in "
+        "'--action-fields', or import the video alone by leaving '--actions' out"
+    )
 
 
 def is_protobuf(message: Any) -> bool:

@@ -59,9 +59,10 @@ class Reader:
                     send(self._answers, {"no_memory": True})
                 else:
                     send(self._answers, {"error": type(error).__name__, "sentence": str(error)})
+            except ImportError as error:
+                send(self._answers, {"no_memory": True} if _has_no_room(error) else _told(error))
             except Exception as error:  # whatever a hostile file leads a library to is the file's fault
-                sentence = f"the recording cannot be read: {type(error).__name__}: {str(error)[:200]}."
-                send(self._answers, {"error": "RecordingImportError", "sentence": sentence})
+                send(self._answers, _told(error))
 
     def _answer(self, request: dict[str, Any], wanted: np.ndarray[Any, Any]) -> None:
         number = request["number"]
@@ -108,6 +109,17 @@ class Reader:
             self._begin_timing()
             self._said = time.monotonic()
             send(self._answers, {"pictures": pictures})
+
+
+def _told(error: Exception) -> dict[str, str]:
+    """The answer that tells of an error that nobody expected."""
+    sentence = f"the recording cannot be read: {type(error).__name__}: {str(error)[:200]}."
+    return {"error": "RecordingImportError", "sentence": sentence}
+
+
+def _has_no_room(error: ImportError) -> bool:
+    """Whether a library could not be loaded for lack of memory, which the system's loader tells in words alone."""
+    return any(words in str(error).lower() for words in ("failed to map segment", "cannot allocate memory"))
 
 
 def peak_bytes() -> int:

@@ -158,11 +158,12 @@ def from_rows(
     stated: Continuous | None = None,
     most: int,
 ) -> ContinuousCommands:
-    """The commands of a format that keeps them as a table, one row for each picture.
+    """The commands of a format that keeps them as a table.
 
     Args:
-        rows: Of numbers.
-        times_ns: When each was given.
+        rows: Of numbers: one for each picture, of which the last need not be finite, or one less: the last leads to no
+            picture.
+        times_ns: When each picture was taken.
         feature: What the format calls them.
         names: Of the columns; where there are not as many, ``feature`` and a number.
         fields: The columns that are wanted; none for all.
@@ -182,12 +183,14 @@ def from_rows(
         raise BadCommands("holds whole numbers as actions that are too large to be kept exactly")
     if values.dtype.itemsize > 8 and (exact != values).any():
         raise BadCommands(f"holds {values.dtype} as actions, more digits than can be kept")
-    columns = tuple(names) if len(names) == values.shape[1] else tuple(f"{feature}.{n}" for n in range(values.shape[1]))
+    columns = column_names(feature, names, values.shape[1])
     if len(columns) > MOST_NUMBERS:
         raise BadCommands(f"holds {name_fault(columns)}")
-    wanted = [_column(columns, field) for field in fields] if fields else list(range(len(columns)))
-    chosen = tuple(columns[place] for place in wanted)
-    fault = name_fault(chosen) or value_fault(chosen, exact[:, wanted])
+    wanted = places_of(fields, columns) if fields else list(range(len(columns)))
+    chosen, numbers = tuple(columns[place] for place in wanted), exact[:, wanted]
+    if len(numbers) == len(times_ns) and not np.isfinite(numbers[-1:]).all():
+        numbers = numbers[:-1]
+    fault = name_fault(chosen) or value_fault(chosen, numbers)
     if fault:
         raise BadCommands(
             f"holds {fault}; cut it out, choose other numbers with '--action-fields', or leave '--actions' out"
@@ -197,21 +200,40 @@ def from_rows(
     if stated is not None:
         low, high = (tuple(bound[place] for place in wanted) for bound in (stated.low, stated.high))
         stated = Continuous(names=chosen, low=low, high=high, units=tuple(stated.units[place] for place in wanted))
-    return ContinuousCommands(times_ns=times_ns, values=exact[:, wanted], names=chosen, stated=stated, of_pictures=True)
+    given_ns = times_ns[: len(numbers)]
+    return ContinuousCommands(times_ns=given_ns, values=numbers, names=chosen, stated=stated, of_pictures=True)
 
 
-def _column(columns: Sequence[str], field: str) -> int:
-    if field in columns:
-        return columns.index(field)
-    raise BadCommands(
-        f"has no field {shown(field)} in its actions; {meant(columns, field)} fields are: {_listed(columns)}"
-    )
+def places_of(fields: Sequence[str], columns: Sequence[str]) -> list[int]:
+    """The places of fields among columns.
+
+    Raises:
+        BadCommands: One is not among them.
+    """
+    lacking = next((field for field in fields if field not in columns), None)
+    if lacking is not None:
+        raise BadCommands(
+            f"has no field {shown(lacking)} in its actions; {meant(columns, lacking)} fields are: {_listed(columns)}"
+        )
+    return [columns.index(field) for field in fields]
+
+
+def column_names(feature: str, names: Sequence[str], width: int) -> tuple[str, ...]:
+    """What the columns of a table are called: as it says, or if that is not for all, ``feature`` and a number."""
+    return tuple(names) if len(names) == width else tuple(f"{feature}.{number}" for number in range(width))
 
 
 def meant(known: Sequence[str], field: str) -> str:
     """Which fields somebody may have meant, to precede "fields are": those whose last part it is, or a similar one."""
-    near = [name for name in known if name.endswith(f".{field}")][:MEANT] or difflib.get_close_matches(field, known, 1)
+    asked, alike = _as_path(field), {_as_path(name): name for name in known}
+    near = [name for path, name in alike.items() if path.endswith(f".{asked}")][:MEANT]
+    near = near or [alike[path] for path in difflib.get_close_matches(asked, alike, 1)]
     return f"did you mean {' or '.join(map(shown, near))}? Its" if near else "its"
+
+
+def _as_path(field: str) -> str:
+    """A field in lower case as fields are written here: ``data.0`` where others write ``Data[0]`` or ``data/0``."""
+    return field.casefold().replace("[", ".").replace("]", "").replace("/", ".").strip(".")
 
 
 def name_fault(names: Sequence[str]) -> str | None:

@@ -17,11 +17,18 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
+from jaxtyping import Bool
 
 from dmotion_bench.actions import MOST_NUMBERS
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, guarded, ros_decoder, well_known
-from dmotion_bench.storage.imports.commands import fields_given, is_protobuf, protobuf_decoder
+from dmotion_bench.storage.imports.commands import (
+    EmptyCommand,
+    fields_given,
+    first_needed,
+    is_protobuf,
+    protobuf_decoder,
+)
 from dmotion_bench.storage.imports.continuous_commands import (
     EXACT,
     ContinuousCommands,
@@ -66,9 +73,10 @@ class ContinuousReader:
     def __init__(self, fields: Sequence[str], most: int) -> None:
         self._fields, self._most = tuple(fields), most
         self._times, self._values = array("q"), array("d")
+        self._places = array("q")  # of the messages that hold commands, among all
         self._names: tuple[str, ...] = ()
         self._messages, self._are_joints = 0, False
-        self._others: dict[str, None] = {}  # what the messages that hold none of the joints hold instead
+        self._others: dict[str, bool] = {}  # what the messages that hold none of the joints hold instead
 
     @property
     def count(self) -> int:
@@ -96,7 +104,7 @@ class ContinuousReader:
             message = decode(data)
             if may_lack and all(_inside(message, field) is _MISSING for field in self._fields):
                 if not self._times and len(self._others) < MOST_NUMBERS:
-                    self._others |= dict.fromkeys(_fields_of(message))
+                    self._others |= _paths(message)
                 return None
             return self._numbers(message)
 
@@ -116,21 +124,31 @@ class ContinuousReader:
                 f"the actions of a recording hold more than the {self._most:,} numbers that can be imported at once; "
                 "name fewer fields with '--action-fields', or cut the recording."
             )
+        self._places.append(self._messages - 1)
         self._times.append(t_ns)
         self._values.extend(command)
 
-    def collected(self) -> ContinuousCommands:
-        """All commands so far, in the order of their times.
+    def collected(self, last_ns: int) -> ContinuousCommands:
+        """All commands so far, in the order of their times; see ``CommandsReader``.
 
         Raises:
+            EmptyCommand: Numbers are not finite where a command is needed.
             BadPicture: No message holds a joint that is wanted.
         """
         if self._messages and not self._times:
-            raise _unknown(list(self._others), self._fields[0])
+            raise _unknown(self._others, self._fields[0])
         times = np.array(self._times, np.int64)
-        order = np.argsort(times, kind="stable")
         values = np.array(self._values, np.float64).reshape(len(times), -1)
-        return ContinuousCommands(times_ns=times[order], values=values[order], names=self._names)
+        is_whole: Bool[np.ndarray, " n"] = np.all(np.isfinite(values), axis=1)
+        if (place := first_needed(times, is_whole, last_ns)) is not None:
+            fault = value_fault(self._names, values[place : place + 1], "in row") or ""
+            raise EmptyCommand(
+                self._places[place],
+                f"holds {fault.replace(' in row 0', '')}; cut the recording before it, or leave '--actions' out",
+            )
+        order = np.argsort(times, kind="stable")
+        kept = order[is_whole[order]]
+        return ContinuousCommands(times_ns=times[kept], values=values[kept], names=self._names)
 
     def _numbers(self, message: Any) -> list[float]:
         """A message's numbers, in the order of the first message's."""
@@ -142,7 +160,7 @@ class ContinuousReader:
             self._names = names
         if names != self._names:
             return self._reordered(dict(found), len(found))
-        return _finite(names, found)
+        return [_number(name, value) for name, value in found]
 
     def _reordered(self, found: dict[str, Any], count: int) -> list[float]:
         lacking = [name for name in self._names if name not in found]
@@ -154,16 +172,7 @@ class ContinuousReader:
                 f"{how} the numbers {', '.join(map(shown, odd[:LISTED]))}, other than the first message; name the "
                 f"fields that all messages have in '--action-fields'{joints}"
             )
-        return _finite(self._names, [(name, found[name]) for name in self._names])
-
-
-def _finite(names: Sequence[str], found: Sequence[tuple[str, Any]]) -> list[float]:
-    numbers = [_number(name, value) for name, value in found]
-    if fault := value_fault(names, np.array([numbers]), "in row"):
-        raise BadPicture(
-            f"holds {fault.replace(' in row 0', '')}; cut the recording before it, or leave '--actions' out"
-        )
-    return numbers
+        return [_number(name, found[name]) for name in self._names]
 
 
 def _number(name: str, value: Any) -> float:
@@ -178,8 +187,9 @@ def _chosen(message: Any, field: str) -> list[tuple[str, Any]]:
     """What stands in a field: one number, or those that it is made of."""
     node = _inside(message, field)
     if node is _MISSING:
-        raise _unknown(_fields_of(message), field)
-    found = list(itertools.islice(_leaves(node, field, 0), MOST_NUMBERS + 1))
+        raise _unknown(_paths(message), field)
+    leaves = ((path, leaf) for path, leaf, is_leaf in _nodes(node, field, 0) if is_leaf)
+    found = list(itertools.islice(leaves, MOST_NUMBERS + 1))
     if len(found) > MOST_NUMBERS:
         raise BadPicture(f"holds more than {MOST_NUMBERS} numbers in {shown(field)}; name those that count, one by one")
     if not found:
@@ -187,15 +197,18 @@ def _chosen(message: Any, field: str) -> list[tuple[str, Any]]:
     return found
 
 
-def _fields_of(message: Any) -> list[str]:
-    return [name for name, _ in itertools.islice(_leaves(message, "", 0), MOST_NUMBERS)]
+def _paths(message: Any) -> dict[str, bool]:
+    """What a message's fields are called, those with parts among them, each with whether it has no parts."""
+    nodes = itertools.islice(_nodes(message, "", 0), 2 * MOST_NUMBERS)
+    return {path: is_leaf for path, _, is_leaf in nodes if path}
 
 
-def _unknown(known: Sequence[str], field: str) -> BadPicture:
-    """The error for a field that is not among those of a message."""
-    listed = ", ".join(map(_plain, known[:LISTED])) or "none"
-    more = f" ... and more, {len(known)} in all" if len(known) > LISTED else ""
-    return BadPicture(f"has no field {shown(field)}; {meant(known, field)} fields are: {listed}{more}")
+def _unknown(known: Mapping[str, bool], field: str) -> BadPicture:
+    """The error for a field that is not among those of a message; see ``_paths``."""
+    leaves = [path for path, is_leaf in known.items() if is_leaf]
+    listed = ", ".join(map(_plain, leaves[:LISTED])) or "none"
+    more = f" ... and more, {len(leaves)} in all" if len(leaves) > LISTED else ""
+    return BadPicture(f"has no field {shown(field)}; {meant(list(known), field)} fields are: {listed}{more}")
 
 
 def _inside(node: Any, path: str) -> Any:
@@ -212,17 +225,15 @@ def _inside(node: Any, path: str) -> Any:
     return _MISSING
 
 
-def _leaves(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any]]:
-    """Everything in a node that has no parts, by its path, in order."""
+def _nodes(node: Any, path: str, depth: int) -> Iterator[tuple[str, Any, bool]]:
+    """A node and everything in it, by its path, in order, each with whether it has no parts."""
     if depth > _DEEPEST:
         raise BadPicture(f"has more than {_DEEPEST} levels")
     children = _children(node)
-    if children is None:
-        yield path, node
-        return
-    for name in children:
+    yield path, node, children is None
+    for name in children or ():
         child = _child(node, children, name)
-        yield from _leaves(child, f"{path}.{name}" if path else name, depth + 1)
+        yield from _nodes(child, f"{path}.{name}" if path else name, depth + 1)
 
 
 def _children(node: Any) -> Sequence[str] | None:

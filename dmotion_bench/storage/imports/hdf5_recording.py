@@ -24,15 +24,23 @@ import h5py
 import numpy as np
 from jaxtyping import Int64, UInt8
 
+from dmotion_bench.actions import MOST_NUMBERS
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture
-from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, action_name
-from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows
+from dmotion_bench.storage.imports.commands import Commands, from_choices
+from dmotion_bench.storage.imports.continuous_commands import (
+    BadCommands,
+    ContinuousCommands,
+    column_names,
+    from_rows,
+    places_of,
+)
 from dmotion_bench.storage.imports.episode_faults import EpisodeFaults, Size
 from dmotion_bench.storage.imports.hdf5_contents import ERRORS, datasets, described, fault, names, own
 from dmotion_bench.storage.imports.hdf5_pictures import KINDS, PackedPictures, Pixels, holds_pictures, pictures_of
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.natural_order import natural
+from dmotion_bench.storage.imports.near_names import did_you_mean
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
 from dmotion_bench.wording import shown
 
@@ -87,6 +95,8 @@ class Hdf5Recording:
             others = [name for name in found if name not in pictures]
             self._camera = self._named(cameras, camera, "camera", found)
             self._actions = None if actions is None else self._named(others, actions, "actions", found)
+            if self._actions is not None and self._fields:
+                self._check_fields(found[self._actions])
             known_hz = source_hz or _control_frequency(file)
             self._hz, self._is_rate_assumed = known_hz or default_hz, known_hz is None
 
@@ -244,7 +254,9 @@ class Hdf5Recording:
         first = self._declared[0]
         listed = "".join(f"\n  {name} {described(dataset)}" for name, dataset in list(found.items())[:LISTED])
         wanted = f"{asked!r} for '--{option}'" if asked is not None else f"pictures ({KINDS})"
-        raise self._bad(f"has no {wanted}; in {first!r} are:{listed or ' no data sets'}", stop="")
+        hint = "" if asked is None else did_you_mean(given, asked)
+        where = f"{'In' if hint else 'in'} {first!r} are:{listed or ' no data sets'}"
+        raise self._bad(f"has no {wanted}; {hint}{where}", stop="")
 
     def _pictures(self, stored: h5py.Dataset) -> Pixels | PackedPictures:
         if not holds_pictures(stored, self._limits):
@@ -280,14 +292,20 @@ class Hdf5Recording:
         if given.dtype.kind == "f" or self._fields:
             return self._continuous(given, times_ns)
         try:
-            values = (given.asstr() if h5py.check_string_dtype(given.dtype) else given)[()].tolist()
-            rows = [row[0] if isinstance(row, list) and len(row) == 1 else row for row in values]
-            names = [action_name(row) for row in rows]
+            rows = (given.asstr() if h5py.check_string_dtype(given.dtype) else given)[()].tolist()
+            return from_choices(rows, times_ns)
         except BadPicture as error:
             raise self._bad(f"{error} ({given.name!r})") from error
         except ERRORS as error:
             raise self._bad(f"is damaged: {given.name!r}: {str(error)[:120]}") from error
-        return DiscreteCommands(times_ns=times_ns[: len(names)], names=names)
+
+    def _check_fields(self, given: h5py.Dataset) -> None:
+        """See that the first demonstration has the fields: a name that none has is no damage of one."""
+        width = given.shape[1] if len(given.shape) > 1 else 1
+        try:
+            places_of(self._fields, column_names(str(given.name).rpartition("/")[2], (), min(width, MOST_NUMBERS)))
+        except BadCommands as error:
+            raise self._bad(f"{error} ({given.name!r})") from error
 
     def _continuous(self, given: h5py.Dataset, times_ns: Int64[np.ndarray, " n"]) -> ContinuousCommands:
         try:
@@ -296,7 +314,7 @@ class Hdf5Recording:
             raise self._bad(f"is damaged: {given.name!r}: {str(error)[:120]}") from error
         feature = str(given.name).rpartition("/")[2]
         try:
-            return from_rows(values, times_ns[: len(values)], feature, fields=self._fields, most=self._limits.numbers)
+            return from_rows(values, times_ns, feature, fields=self._fields, most=self._limits.numbers)
         except BadCommands as error:
             raise self._bad(f"{error} ({given.name!r})") from error
 

@@ -27,7 +27,7 @@ from dmotion_bench.storage.imports.continuous_commands import (
 from dmotion_bench.storage.imports.options import ImportOptions
 from dmotion_bench.storage.imports.recording import Named, Survey
 from dmotion_bench.storage.imports.timeline import Piece, interval_ns, steady_hz
-from dmotion_bench.wording import duration
+from dmotion_bench.wording import duration, shown
 
 SEVERAL: Final = 1.1
 """Commands a step from which on it is said that one is kept and the others are not."""
@@ -85,18 +85,26 @@ def action_spec(
 
 
 def constant_advice(actions: ActionSpec | None, episodes: Sequence[Actions | None]) -> tuple[str, ...]:
-    """A sentence about the numbers of continuous actions that are the same in all of them, if there are any.
+    """A sentence about what is the same in all actions, if there is anything: the choice, or some of the numbers.
 
     Args:
         actions: What they are.
         episodes: The actions of each.
 
     Raises:
-        RecordingImportError: All numbers are: a model would learn what nothing depends on, within bounds made up.
+        RecordingImportError: All numbers of continuous actions are: a model would learn what nothing depends on, within
+            bounds made up.
     """
-    if not isinstance(actions, Continuous):
+    if actions is None:
         return ()
     values = np.concatenate([one for one in episodes if one is not None and len(one)])
+    if not isinstance(actions, Continuous):
+        if len(values) == 1 or (values != values[0]).any():
+            return ()
+        name = actions.names[int(values[0])]
+        return (
+            f"all actions are {shown(name)}, so they tell nothing. If others are meant, name them with '--actions'.",
+        )
     is_constant = (values == values[0]).all(axis=0)
     if len(values) == 1 or not is_constant.any():
         return ()

@@ -23,6 +23,7 @@ from dmotion_bench.actions import Continuous, actions_from_json
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.git_lfs import require_content
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
+from dmotion_bench.storage.imports.near_names import did_you_mean
 
 INFO: Final = Path("meta") / "info.json"
 EPISODES_V2: Final = Path("meta") / "episodes.jsonl"
@@ -102,7 +103,9 @@ class LeRobotLayout:
             raise self.bad(f"has {len(here)} cameras; choose one with '--camera KEY': {listed}")
         if not found and (depth := _meant(shown, asked)):
             raise self.bad(f"holds depth in {depth[0]!r}, and depth is no picture; its cameras are: {listed}")
-        raise self.bad(f"has {'no' if not found else 'more than one'} camera {asked!r}; its cameras are: {listed}")
+        hint = "" if found else did_you_mean(here, asked)
+        which = f"{'more than one' if found else 'no'} camera {asked!r}"
+        raise self.bad(f"has {which}; {hint}{'Its' if hint else 'its'} cameras are: {listed}")
 
     def numbers(self, asked: str) -> str:
         """The feature of the actions that is meant: by its name, or by the last part of it.
@@ -114,8 +117,9 @@ class LeRobotLayout:
         found = _meant(others, asked)
         if len(found) == 1:
             return found[0]
-        how = "no feature" if not found else "more than one feature"
-        raise self.bad(f"has {how} {asked!r} for '--actions'; its features are: {', '.join(others)}")
+        how, hint = ("more than one feature", "") if found else ("no feature", did_you_mean(others, asked))
+        listed = f"{'Its' if hint else 'its'} features are: {', '.join(others)}"
+        raise self.bad(f"has {how} {asked!r} for '--actions'; {hint}{listed}")
 
     def kind(self, key: str) -> str:
         """A feature's kind: ``"video"``, ``"image"``, ``"float32"`` ..."""

@@ -12,8 +12,8 @@ from jaxtyping import Float, Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
-from dmotion_bench.storage.imports.commands import Commands, DiscreteCommands, action_name
-from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows
+from dmotion_bench.storage.imports.commands import Commands, action_name, from_choices
+from dmotion_bench.storage.imports.continuous_commands import BadCommands, ContinuousCommands, from_rows, places_of
 from dmotion_bench.storage.imports.episode_faults import EpisodeFaults, Size
 from dmotion_bench.storage.imports.lerobot_layout import ACTION_NAMES, LeRobotLayout, Placed
 from dmotion_bench.storage.imports.limits import ImportLimits
@@ -61,6 +61,8 @@ class LeRobotRecording:
         self._actions = None if actions is None else self._layout.numbers(actions)
         kind = self._layout.kind(self._actions or "")
         self._continuous = self._actions is not None and (bool(self._fields) or kind in FLOATS)
+        if self._fields:
+            self._check_fields(self._actions or "")
         self._stated = self._layout.stated_actions(self._actions or "") if self._continuous else None
         self._vocabulary = [] if self._continuous else self._known_actions()
         self._placed: list[Placed] = []
@@ -252,16 +254,20 @@ class LeRobotRecording:
         column = self._table(placed).column(self._actions)
         if self._continuous:
             return self._continuous_commands(placed, column, times_ns)
-        names = []
-        for value in column.take(self._rows(placed)).to_pylist():
-            single = value[0] if isinstance(value, list) and len(value) == 1 else value
-            try:
-                name = action_name(single)
-                number = int(name) if name.isdecimal() else -1
-                names.append(self._vocabulary[number] if 0 <= number < len(self._vocabulary) else name)
-            except BadPicture as error:
-                raise self._layout.bad(f"{error} (feature {self._actions!r}, episode {placed.number})") from error
-        return DiscreteCommands(times_ns=times_ns, names=names, vocabulary=self._vocabulary)
+        try:
+            return from_choices(column.take(self._rows(placed)).to_pylist(), times_ns, self._vocabulary)
+        except BadPicture as error:
+            raise self._layout.bad(f"{error} (feature {self._actions!r}, episode {placed.number})") from error
+
+    def _check_fields(self, key: str) -> None:
+        """See that the data set has the fields, where it names all: a name that none has is no damage of an episode."""
+        names = self._layout.number_names(key)
+        if not names or self._layout.features[key].get("shape") != [len(names)]:
+            return
+        try:
+            places_of(self._fields, names)
+        except BadCommands as error:
+            raise self._layout.bad(f"{error} (feature {key!r})") from error
 
     def _continuous_commands(
         self, placed: Placed, column: Any, times_ns: Int64[np.ndarray, " n"]
@@ -293,7 +299,9 @@ class LeRobotRecording:
 
 
 def _matrix(column: Any, rows: list[int], most: int) -> np.ndarray[Any, Any]:
-    """Some rows of a column of numbers, or of lists of numbers that are all as long.
+    """Some rows of a column of numbers, or of lists of numbers that are all as long; the last may lack numbers.
+
+    That one leads to no picture, and is left out then.
 
     Raises:
         BadCommands: They are something else.
@@ -304,6 +312,8 @@ def _matrix(column: Any, rows: list[int], most: int) -> np.ndarray[Any, Any]:
     values = column.take(pa.array(rows, pa.int64())).combine_chunks()
     width = 1
     if pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type) or pa.types.is_large_list(values.type):
+        if len(values) and not values[-1].as_py():
+            values = values[:-1]
         lengths = compute.list_value_length(values)
         if lengths.null_count or len(compute.unique(lengths)) > 1:
             raise BadCommands("has actions with different numbers of components")
@@ -313,7 +323,10 @@ def _matrix(column: Any, rows: list[int], most: int) -> np.ndarray[Any, Any]:
         raise BadCommands(f"holds {len(values):,} numbers as actions, more than the {most:,} that can be imported")
     if not (pa.types.is_floating(values.type) or pa.types.is_integer(values.type)):
         raise BadCommands(f"holds {values.type} as actions, which is no number")
-    if values.null_count:
+    needed = values[: (len(rows) - 1) * width]
+    if needed.null_count:
         raise BadCommands("lacks numbers of its actions")
-    matrix: np.ndarray[Any, Any] = values.to_numpy(zero_copy_only=False).reshape(len(rows), width)
+    values = needed if values.null_count else values
+    count = len(rows) - (len(values) < len(rows) * width)
+    matrix: np.ndarray[Any, Any] = values.to_numpy(zero_copy_only=False).reshape(count, width)
     return matrix

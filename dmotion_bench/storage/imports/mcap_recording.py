@@ -13,7 +13,7 @@ from jaxtyping import Int64, UInt8
 
 from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, Picture, picture_decoder
-from dmotion_bench.storage.imports.commands import Commands, CommandsReader, DiscreteReader
+from dmotion_bench.storage.imports.commands import Commands, CommandsReader, DiscreteReader, EmptyCommand
 from dmotion_bench.storage.imports.continuous_messages import ContinuousReader
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.mcap_records import LATEST, McapFile, RawMessage, TopicInfo
@@ -79,8 +79,6 @@ class McapRecording:
         if self._actions == self._camera:
             raise RecordingImportError(f"{self._camera!r} is the camera; name the topic of the actions.")
 
-    _may_sort = True
-
     @property
     def is_stream(self) -> bool:
         """Whether the camera sends a video, so that ``mcap_video`` has to read it."""
@@ -131,11 +129,11 @@ class McapRecording:
             raise RecordingImportError(f"{str(self.path)!r}: no message on {self._camera!r} gives a picture.")
         if commands is not None and not commands.count:
             raise RecordingImportError(f"{str(self.path)!r} has no actions: no message is on {self._actions!r}.")
-        taken, logged = (np.array(clock, np.int64)[np.array(visible)] for clock in (times, others))
-        if self._clock is Clock.LOG:
-            taken, logged = self._sorted(taken, logged, np.array(lengths))
-        self._check_order(taken, np.array(visible), self._camera)
-        given = None if commands is None else self._collected(commands)
+        numbers = np.array(visible)
+        taken, logged = (np.array(clock, np.int64)[numbers] for clock in (times, others))
+        taken, logged = self._in_order(taken, logged, numbers, np.array(lengths))
+        self._check_order(taken, numbers, self._camera)
+        given = None if commands is None else self._collected(commands, int(taken[-1]))
         if given is not None:
             self._check_clocks(taken, logged)
         jumped = jumps(taken, logged) if self._clock is Clock.LOG else []
@@ -152,7 +150,7 @@ class McapRecording:
                 *([f"{told_of_jumps(self.path, jumped)}."] if jumped else []),
                 *self._several(senders),
                 *self._told_of_order,
-                *self._told_of_lost(),
+                *self._told_of_video(taken, logged),
                 *self._other_messages(commands),
             ],
             delay_ns=0 if hints or self._clock is Clock.HEADER else delay_ns(taken, logged),
@@ -204,11 +202,12 @@ class McapRecording:
             return None
         return ContinuousReader(self._fields, self._limits.numbers) if self._fields else DiscreteReader()
 
-    def _collected(self, commands: CommandsReader) -> Commands:
+    def _collected(self, commands: CommandsReader, last_ns: int) -> Commands:
         try:
-            return commands.collected()
+            return commands.collected(last_ns)
         except BadPicture as error:
-            raise self._bad(0, self._actions or "", error) from error
+            number = error.number if isinstance(error, EmptyCommand) else 0
+            raise self._bad(number, self._actions or "", error) from error
 
     def _other_messages(self, commands: CommandsReader | None) -> list[str]:
         """What is told of messages that other parts of the robot send on the topic of the actions."""
@@ -227,8 +226,8 @@ class McapRecording:
             "cameras send there, their pictures alternate in the episodes. Record each on a topic of its own."
         ]
 
-    def _told_of_lost(self) -> list[str]:
-        """What is told of messages that were sent and not recorded."""
+    def _told_of_video(self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"]) -> list[str]:
+        """What is told of pictures that depend on each other, by the clock that counts and the other one."""
         return []
 
     def _camera_messages(self) -> Iterator[tuple[int, RawMessage]]:
@@ -245,23 +244,28 @@ class McapRecording:
                 yield due, waiting.pop(due)
                 due += 1
 
-    def _sorted(
-        self, times_ns: Int64[np.ndarray, " n"], others_ns: Int64[np.ndarray, " n"], lengths: Int64[np.ndarray, " n"]
+    def _in_order(
+        self,
+        times_ns: Int64[np.ndarray, " n"],
+        others_ns: Int64[np.ndarray, " n"],
+        numbers: Int64[np.ndarray, " n"],
+        lengths: Int64[np.ndarray, " m"],
     ) -> tuple[Int64[np.ndarray, " n"], Int64[np.ndarray, " n"]]:
-        """Both clocks in the order of the first, as all readers of MCAP give messages in the order of their times.
+        """Both clocks in the order of the recorder's, as all readers of MCAP give messages in the order of their times.
 
         They stay as they are where too many bytes of messages would have to wait for earlier ones.
 
         Args:
-            times_ns, others_ns: Of each message, in the order of the file.
-            lengths: Of the messages [bytes].
+            times_ns, others_ns: Of each picture, in the order in which the file gives them.
+            numbers: Of the message that holds it.
+            lengths: Of all messages [bytes].
 
         Raises:
             RecordingImportError: The clock was set back: in its order, pictures of two moments would alternate.
         """
         self._places, self._told_of_order = None, []
         intervals = np.diff(times_ns)
-        if not self._may_sort or not (intervals < 0).any():
+        if self._clock is not Clock.LOG or not (intervals < 0).any():
             return times_ns, others_ns
         furthest = int(intervals.argmin())
         if others_ns[0] and (np.diff(others_ns) > 0).all() and -intervals[furthest] > np.median(intervals):

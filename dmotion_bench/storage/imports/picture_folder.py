@@ -22,7 +22,13 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.natural_order import in_natural_order
-from dmotion_bench.storage.imports.picture_numbers import NUMBER, begun_anew, repeated_with_others, steps_between
+from dmotion_bench.storage.imports.picture_numbers import (
+    NUMBER,
+    begun_anew,
+    hz_by_times,
+    repeated_with_others,
+    steps_between,
+)
 from dmotion_bench.storage.imports.pixels import Shape, shape_of, to_rgb
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times, times_after
 from dmotion_bench.wording import shown
@@ -159,6 +165,7 @@ class PictureFolder:
         first: tuple[Path, Shape] | None = None
         segments, count, missing = [], 0, Counter[Path]()
         shared, anew = dict[Path, tuple[list[str], int]](), dict[Path, tuple[str, int]]()
+        rates = Counter[float]()
         for folder in self._folders:
             files, shape = self._in(folder), None
             for file in files:
@@ -175,6 +182,8 @@ class PictureFolder:
                 shared[folder] = numbers
             elif (begun := begun_anew(names)) is not None:
                 anew[folder] = begun
+            if self._is_rate_assumed and (rate := hz_by_times(names)):
+                rates[rate] += len(names)
             steps = steps_between(names)
             if steps is None:
                 times = steady_times(len(files), self._source_hz, self.path)
@@ -190,7 +199,12 @@ class PictureFolder:
             height=shape.height,
             width=shape.width,
             segments=segments,
-            told=[*_told_of_shared(shared), *_told_of_begun(anew), *self._told_of_missing(+missing)],
+            told=[
+                *_told_of_shared(shared),
+                *_told_of_begun(anew),
+                *self._told_of_missing(+missing),
+                *_told_of_rates(rates),
+            ],
             is_deep=shape.is_deep,
             is_rate_assumed=self._is_rate_assumed,
         )
@@ -290,6 +304,14 @@ class PictureFolder:
                 return CompressedPicture(stamp_ns=0, format=file.suffix[1:], data=opened.read(most))
         except OSError as error:
             raise RecordingImportError(f"cannot read {str(file)!r}: {error.strerror}.") from error
+
+
+def _told_of_rates(pictures: Counter[float]) -> list[str]:
+    """What is told of the rates that the times in names tell, by how many pictures have each."""
+    if not pictures:
+        return []
+    rate = pictures.most_common(1)[0][0]
+    return [f"the names of the pictures are times, as of {rate:g} pictures a second: say '--source-hz {rate:g}'."]
 
 
 def _told_of_shared(folders: Mapping[Path, tuple[list[str], int]]) -> list[str]:

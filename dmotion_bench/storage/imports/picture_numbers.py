@@ -19,13 +19,14 @@ from typing import Final
 import numpy as np
 from jaxtyping import Int64
 
-from dmotion_bench.storage.imports.timeline import interval_ns, steady_hz
+from dmotion_bench.storage.imports.timeline import interval_ns, meant_hz, steady_hz
 
 NUMBER: Final = re.compile(r"\d+(?:\.\d+)*")
 """A number in a name; a time with a fraction is one."""
 _FEWEST: Final = 4  # names that can have a usual difference
 _SECONDS: Final = re.compile(r"\d{10}\.\d+")  # since 1970
 _TIME: Final = re.compile(r"\d{13}|\d{16}|\d{19}")  # in milliseconds, microseconds, nanoseconds
+_UNITS_NS: Final = {13: 10**6, 16: 10**3, 19: 1}  # by the number of digits
 _CLOCK: Final = re.compile(r"([01]\d|2[0-3])[0-5]\d[0-5]\d")
 _DATE: Final = re.compile(rf"(19|20)\d\d(0[1-9]|1[0-2])(0[1-9]|[12]\d|3[01])({_CLOCK.pattern}\d*)?")
 _LONGEST: Final = 2**62  # [ns] that 64 bits hold
@@ -50,6 +51,20 @@ def steps_between(names: Sequence[str]) -> Int64[np.ndarray, " n"] | None:
     for told in (*map(_time_steps, times), *map(_number_steps, numbers)):
         if told is not None:
             return told
+    return None
+
+
+def hz_by_times(names: Sequence[str]) -> float | None:
+    """How many pictures a second there are by the times in their names; None without steady times.
+
+    Args:
+        names: Of the pictures of one folder, in their order, with the same text around their numbers.
+    """
+    if len(names) < _FEWEST:
+        return None
+    for column in zip(*map(NUMBER.findall, names), strict=True):
+        if _are_times(column) and _time_steps(column) is not None:
+            return meant_hz(steady_hz(_since_ns(column)))
     return None
 
 
@@ -110,14 +125,18 @@ def _are_dates(column: Sequence[str], columns: Sequence[Sequence[str]]) -> bool:
 
 def _time_steps(column: Sequence[str]) -> Int64[np.ndarray, " n"] | None:
     """The steps between times that are steady but for pauses."""
-    unit = 10**9 if "." in column[0] else 1  # whatever unit whole numbers have
-    times = [int(Decimal(number) * unit) for number in column]
-    if not 0 < times[-1] - times[0] < _LONGEST:
-        return None
-    since = np.array([one - times[0] for one in times], np.int64)
+    since = _since_ns(column)
     if (np.diff(since) <= 0).any() or not steady_hz(since):
         return None
     return np.rint(np.diff(since) / interval_ns(since)).clip(1, _MOST_STEPS).astype(np.int64)
+
+
+def _since_ns(column: Sequence[str]) -> Int64[np.ndarray, " n"]:
+    """The times since the first one [ns]; zeros if they cannot be."""
+    unit = 10**9 if "." in column[0] else _UNITS_NS[len(column[0])]
+    times = [int(Decimal(number) * unit) for number in column]
+    is_possible = 0 < times[-1] - times[0] < _LONGEST
+    return np.array([(one - times[0]) * is_possible for one in times], np.int64)
 
 
 def _number_steps(column: Sequence[str]) -> Int64[np.ndarray, " n"] | None:

@@ -213,7 +213,8 @@ def _what_else(start: bytes, file: Path) -> str:
         return f"is a ROS 1 bag; {CONVERT_BAG}"
     if start.startswith(b"SQLite"):
         return f"is a ROS 2 bag in SQLite; {CONVERT_BAG}"
-    if start.startswith((b"\xff\xd8\xff", b"\x89PNG")) or start[8:12] == b"WEBP":
+    is_picture = start.startswith((b"\xff\xd8\xff", b"\x89PNG")) or start[8:12] == b"WEBP"
+    if is_picture and file.suffix.lower() not in (".mjpeg", ".mjpg"):  # many JPEG files in one
         return "is a single picture; name the folder that it is in"
     if (arrays := arrays_of(file.name)) is not None:
         return f"holds {arrays}, {NOT_READ}"

@@ -63,6 +63,12 @@ def steady_hz(times_ns: Int64[np.ndarray, " n"]) -> float:
     return 1e9 * len(whole) / int(whole.sum())
 
 
+def meant_hz(hz: float) -> float:
+    """The whole number that a rate is meant to be, if there is one within half a percent; else four digits."""
+    whole = round(hz)
+    return float(whole) if abs(hz - whole) <= hz / 200 else float(f"{hz:.4g}")
+
+
 def longest_gap_ns(usual: float, tick: float) -> float:
     """The longest time without a frame that does not end an episode [ns].
 

@@ -12,6 +12,7 @@ import pytest
 from leaderboard.board import make_boards
 from leaderboard.board_tables import board_section
 from leaderboard.entry import Entry
+from leaderboard.gallery import gallery
 from leaderboard.model_results import model_lines
 from leaderboard.page import make_page
 from leaderboard.verdict import Verdict, copies_found
@@ -237,3 +238,18 @@ def test_one_training_under_two_names_is_told_of() -> None:
     assert first.remarks == ("weights: the run best-s0 has the same; they are one training under two names",)
     assert second.remarks == ("weights: the run a-s0 has the same; they are one training under two names",)
     assert (first.holds, other.remarks) == (True, ())
+
+
+def test_pictures_of_other_steps_hide_nobody_s(sound: Entry, result: MakeEntry) -> None:
+    """The entry with the least error is the first, and would say which steps are shown."""
+    own = sound.content["pictures"]
+    others = [dict(picture) | {"step": picture["step"] + 1} for picture in own]
+    honest = [result(name, HARD) for name in ("a", "b")]
+    (board,) = make_boards([*honest, result("odd", HARD / 4, pictures=others)])
+
+    shown = str(gallery(board, len(own)))
+
+    assert own
+    assert board.rows[0].name == "odd"
+    assert shown.count("<span>a</span>") == shown.count("<span>b</span>") == len(own)
+    assert "<span>odd</span>" not in shown

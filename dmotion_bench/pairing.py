@@ -116,10 +116,12 @@ def compare_runs(
 
     Raises:
         RunMissing: One of them is not scored.
-        RunMismatch: Trainings of one model differ in more than their seed, or runs were not scored on the same
-            triplets, or all that they have in common with different settings.
+        RunMismatch: Trainings of one model differ in more than their seed, or have the same weights, or runs were not
+            scored on the same triplets, or all that they have in common with different settings.
     """
     models = [[scored_on(run, dataset, split) for run in trainings_of(one)] for one in (first, second)]
+    for own in models:
+        _require_several(own)
     told, left_out = _left_out(models)
     tables = [[_without(of_model(samples), left_out) for _, samples in own] for own in models]
     found = list(differences(*tables))
@@ -200,6 +202,22 @@ def trainings_of(given: Path | Sequence[Path]) -> list[Path]:
     if twice := [seed for seed, count in seeds.items() if count > 1]:
         raise RunMismatch(f"several of the trainings have the seed {twice[0]}; each training is named once.")
     return runs
+
+
+def _require_several(trainings: Sequence[_Scored]) -> None:
+    """No two of a model's trainings have the same weights, whatever their seeds are said to be.
+
+    Raises:
+        RunMismatch: Two have.
+    """
+    known: dict[str, str] = {}
+    for report, _ in trainings:
+        if report.weights in known:
+            raise RunMismatch(
+                f"{known[report.weights]!r} and {report.run!r} have the same weights, so they are one training; "
+                "name it once."
+            )
+        known[report.weights] = report.run
 
 
 def _same(one: RunSpec, other: RunSpec) -> bool:

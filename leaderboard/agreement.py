@@ -67,7 +67,8 @@ def agreements(rows: Sequence[Row], tables: Sequence[ColumnTable]) -> tuple[Agre
         _agreement(words, [(own[GAIN], own[name]) for own in means if name in own]) for name, words in others.items()
     ]
     for table in tables:
-        words = f"distance left after {table.steps} steps on {table.dataset} ({HEADLINE.title})"
+        planned = ", ".join(part for part in (HEADLINE.title, table.made_by) if part)
+        words = f"distance left after {table.steps} steps on {table.dataset} ({planned})"
         found.append(_agreement(words, _with_control(chosen, table), joined=True))
     return tuple(one for one in found if one is not None)
 
@@ -84,7 +85,7 @@ def _with_control(rows: Sequence[Row], table: ColumnTable) -> list[tuple[float, 
     A row belongs to the training's own board, or to that of the tasks if the gain was measured there, too.
     """
     left = {}
-    for row in table.rows:
+    for row in table.compared:
         trainings = {training_of(entry) for entry in row.entries if entry.column == HEADLINE.name}
         if len(trainings) == 1 and HEADLINE.name in row.cells:
             left[trainings.pop()] = row.cells[HEADLINE.name].left.mean
@@ -107,10 +108,13 @@ def _comparable(row: Row) -> dict[str, float]:
 
 
 def _one_of_each(rows: Sequence[Row]) -> list[Row]:
-    """Of each model and variant the row of its usual budget, or else its first one, among those with a gain."""
+    """Of each model and variant the row of its usual budget, or else its first one, among those with a gain.
+
+    Rows that are compared with none are left out.
+    """
     chosen: dict[tuple[str, str], Row] = {}
     for row in rows:
-        if GAIN in row.figures:
+        if GAIN in row.figures and not row.apart:
             name = row.model, row.variant
             chosen[name] = min(chosen.get(name, row), row, key=_place)
     return list(chosen.values())

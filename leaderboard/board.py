@@ -7,6 +7,7 @@ compared with the best by the paired difference (``comparison.py``), whose inter
 Control is as good as the planner, so only what one planner did in the same tasks is averaged and compared: of those of
 this dmbench's version, or, where nothing of it is there, of all, the one that planned most. Rows that have none of it
 keep another's, marked. Rollouts and the gain captured that were measured with other settings than most are left out.
+What another version of scoring made stands on a board of its own.
 """
 
 from __future__ import annotations
@@ -16,30 +17,27 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 from dmotion_bench.planning.columns import HEADLINE
-from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.registry import environment_title, environment_versions
 from dmotion_bench.scoring.report import CONTRACT
-from dmotion_bench.scoring.statistics import Estimate
 from leaderboard.agreement import Agreement, agreements
-from leaderboard.column_table import ColumnTable, column_table, rows_of_column
-from leaderboard.columns import TRUE_MOTION, control_steps
-from leaderboard.comparison import difference_by_episode
+from leaderboard.column_table import ORACLE, ColumnTable, column_table, rows_of_column
+from leaderboard.columns import TRUE_MOTION
 from leaderboard.control import FIGURES as CONTROLLED
+from leaderboard.control import PUBLISHED
 from leaderboard.efficiency import beside_curves, label_curves
-from leaderboard.entry import Entry, Planner
+from leaderboard.entry import USUAL_PRECISION, Entry
+from leaderboard.ranking import ranked
 from leaderboard.row import Row
 from leaderboard.run_names import settings_of, training_of, unusual_settings
+from leaderboard.usual import OTHER_FRAMES, RANKED_BY, Usual, most_common, planner_of, shared_figures
 from leaderboard.value import Value, values_of
 
-RANKED_BY: Final = "mse"
 OTHER_PLANNER: Final = "another planner"
 """Marks a row of control that is not compared."""
 AGENT_MOVES: Final = "agent_moves"
-ORACLE: Final = "oracle"
-_T = TypeVar("_T")
 
 REFERENCE_WORDS: Final = {
     "copy_last": "copy the last frame",
@@ -58,6 +56,8 @@ class Board:
     Attributes:
         environment: Registry name.
         version: Of the environment; data sets of two versions have two boards.
+        made_by: Which other version of scoring, or of the control by columns, made its figures, in words; empty of this
+            dmbench's. What two versions made stands on two boards.
         dataset, fingerprint: Of the data set; empty where only published results are known.
         recording: The command that records the data set; empty where it is not known, or was no recording.
         split, protocol: Which episodes, and how triplets were split.
@@ -74,6 +74,7 @@ class Board:
     recording: str = ""
     split: str = ""
     protocol: str = ""
+    made_by: str = ""
     triplets: int | None = None
     rows: tuple[Row, ...]
     control: ColumnTable | None = None
@@ -84,7 +85,14 @@ class Board:
         """The environment in words, with the version of the data where the environment has several."""
         name = environment_title(self.environment)
         several = self.version > 1 or (self.fingerprint and environment_versions(self.environment))
-        return f"{name}, version {self.version}" if several else name
+        named = f"{name}, version {self.version}" if several else name
+        return f"{named}, {self.made_by}" if self.made_by else named
+
+    @property
+    def key(self) -> tuple[str, ...]:
+        """What its figures have in common: of two boards of one page different."""
+        of = self.environment, str(self.version), self.protocol, self.dataset, self.fingerprint
+        return *of, self.split, self.made_by
 
     @property
     def measured(self) -> list[Entry]:
@@ -141,7 +149,7 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
         else:
             published[entry.environment].append(entry)
     control = {
-        key: column_table([entry for entry in own if entry.column is not None], REFERENCE_WORDS)
+        key: column_table([entry for entry in own if entry.column is not None], REFERENCE_WORDS, made_by=key[-1])
         for key, own in groups.items()
     }
     tables = [table for table in control.values() if table is not None]
@@ -150,14 +158,14 @@ def make_boards(entries: Iterable[Entry]) -> list[Board]:
     boards += [Board(environment=name, rows=_sorted(map(_published_row, published[name]))) for name in lonely]
     return sorted(
         boards,
-        key=lambda board: (board.environment, -board.version, board.protocol, board.dataset, board.fingerprint),
+        key=lambda board: (board.environment, -board.version, *board.key[2:]),
     )
 
 
 def _board_key(entry: Entry) -> tuple[str, ...]:
     settings, dataset = entry.content["settings"], entry.content["dataset"]
-    of = entry.environment, str(entry.version), dataset["name"], dataset["fingerprint"]
-    return *of, str(settings["split"]), str(settings["protocol"])
+    of = entry.environment, str(entry.version), str(settings["protocol"]), dataset["name"], dataset["fingerprint"]
+    return *of, str(settings["split"]), entry.made_by
 
 
 def _board(
@@ -171,20 +179,14 @@ def _board(
         control: The table of those whose control a column planned.
         tables: Such tables of all boards.
     """
-    environment, _, dataset, fingerprint, split, protocol = _board_key(every[0])
+    environment, _, protocol, dataset, fingerprint, split, made_by = _board_key(every[0])
     entries = [entry for entry in every if entry.column is None]
-    planner, usual = _planner_of(entries), _usual_settings(entries)
-    groups: dict[tuple[str, ...], list[Entry]] = defaultdict(list)
-    seen: dict[tuple[str, ...], int] = defaultdict(int)
-    for entry in entries:
-        key = _row_key(entry)
-        one = (*key, str(entry.content["seed"]))
-        groups[*key, str(seen[one])].append(entry)  # somebody else's run of the same name and seed is no further seed
-        seen[one] += 1
-    measured = _told_apart([_measured_row(own, planner, usual) for own in groups.values()])
+    usual = Usual.of(entries)
+    measured = _told_apart([_measured_row(*row, usual) for row in _rows_of(entries, usual)])
     comparable = published if entries and entries[0].actions == "discrete" else ()
-    rows = [*_ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, planner, usual)]
+    rows = [*ranked(measured), *map(_published_row, comparable), *_reference_rows(entries, usual)]
     counts = [figure["n"] for entry in entries if (figure := entry.figures.get(RANKED_BY)) and figure["n"]]
+    triplets = max(counts, default=None) if usual.frames is None else sum(usual.frames.counts)
     return Board(
         environment=environment,
         version=every[0].version,
@@ -193,37 +195,41 @@ def _board(
         recording=next((shlex.join(words) for entry in every if (words := entry.record_words())), ""),
         split=split,
         protocol=protocol,
-        triplets=int(max(counts)) if counts else None,
+        made_by=made_by,
+        triplets=None if triplets is None else int(triplets),
         rows=_sorted(rows),
         control=control,
         agreement=agreements(measured, tables),
     )
 
 
-def _planner_of(entries: Iterable[Entry]) -> Planner | None:
-    """The planner whose control a board compares, of those that its entries have; None without control."""
-    planners = Counter(entry.planner for entry in entries if entry.planner is not None)
-    present = [one for one in planners if one.version == CONTROL_VERSION] or [*planners]
-    return max(sorted(present, key=str), key=planners.__getitem__, default=None)
+def _rows_of(entries: Iterable[Entry], usual: Usual) -> list[tuple[list[Entry], str]]:
+    """The entries of each row, and what is odd about them in words.
 
-
-def _usual_settings(entries: Iterable[Entry]) -> dict[str, str]:
-    """Of each figure the settings that most entries measured it with, where other settings than a board's decide it."""
-    found: dict[str, Counter[str]] = defaultdict(Counter)
+    A row has a training once: somebody else's run of the same name and seed is no further seed, and weights that are
+    there under another seed are no further training.
+    """
+    rows: dict[tuple[str, ...], list[tuple[list[Entry], str]]] = defaultdict(list)
     for entry in entries:
-        for figure in entry.figures:
-            found[figure][entry.decisive(figure)] += 1
-    return {figure: max(sorted(counts), key=counts.__getitem__) for figure, counts in found.items()}
+        odd = OTHER_FRAMES if usual.leaves_out(entry) else ""
+        own = rows[*training_of(entry), entry.precision, odd]
+        seed, weights = (entry.content[name] for name in ("seed", "weights"))
+        known = [other.content["seed"] for row, _ in own for other in row if other.content["weights"] == weights]
+        if known and seed not in known:
+            own.append(([entry], f"the weights of seed {known[0]} as seed {seed}"))
+            continue
+        places = (row for row, _ in own if all(seed != other.content["seed"] for other in row))
+        if (row := next(places, None)) is None:
+            own.append(([entry], odd))
+        else:
+            row.append(entry)
+    return [row for own in rows.values() for row in own]
 
 
-def _row_key(entry: Entry) -> tuple[str, ...]:
-    return *training_of(entry), str(entry.content["settings"]["precision"])
-
-
-def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapping[str, str]) -> Row:
-    first = entries[0]
-    mine = planner if any(entry.planner == planner for entry in entries) else _planner_of(entries)
-    arch, own, precision = first.content["arch"], first.trained_on, first.content["settings"]["precision"]
+def _measured_row(entries: Sequence[Entry], odd: str, usual: Usual) -> Row:
+    first, planner = entries[0], usual.planner
+    mine = planner if any(entry.planner == planner for entry in entries) else planner_of(entries)
+    arch, own, precision = first.content["arch"], first.trained_on, first.precision
     unsound = any(CONTRACT in entry.content["remarks"] for entry in entries)
     return Row(
         kind="measured",
@@ -233,33 +239,23 @@ def _measured_row(entries: Sequence[Entry], planner: Planner | None, usual: Mapp
             [f"{arch} architecture"] * (arch != "compact")
             + [first.label_use] * bool(first.label_use)
             + [f"trained on {own}"] * (own is not None)
-            + [f"predicted in {precision}"] * (precision != "float32")
+            + [f"predicted in {precision}"] * (precision != USUAL_PRECISION)
+            + [odd] * bool(odd)
             + ["breaks the contract"] * unsound
         ),
         elsewhere=own is not None,
         labels=first.labels,
-        label_count=first.label_count,
+        label_count=most_common((entry, entry.label_count) for entry in entries),
         entries=tuple(sorted(entries, key=lambda entry: (entry.content["seed"], entry.slug))),
         figures=values_of(
-            [_compared(entry.figures, entry, mine, usual) for entry in entries],
-            [_compared(entry.by_episode, entry, mine, usual) for entry in entries],
+            [usual.compared(entry.figures, entry, mine) for entry in entries],
+            [usual.compared(entry.by_episode, entry, mine) for entry in entries],
         ),
         planner=mine,
         planned_otherwise=mine not in (planner, None),
         unsound=unsound,
+        apart=bool(odd) or precision != usual.precision,
     )
-
-
-def _compared(
-    figures: Mapping[str, _T], entry: Entry, planner: Planner | None, usual: Mapping[str, str]
-) -> dict[str, _T]:
-    """The figures of an entry, without those of another planner, and those measured with unusual settings."""
-    return {
-        name: figure
-        for name, figure in figures.items()
-        if (entry.planner == planner or not name.startswith(CONTROLLED))
-        and usual.get(name, "") in ("", entry.decisive(name))
-    }
 
 
 def _told_apart(rows: list[Row]) -> list[Row]:
@@ -308,21 +304,24 @@ def _published_row(entry: Entry) -> Row:
     )
 
 
-def _reference_rows(entries: Sequence[Entry], planner: Planner | None, usual: Mapping[str, str]) -> list[Row]:
+def _reference_rows(entries: Sequence[Entry], usual: Usual) -> list[Row]:
     """The rows of the references; entries of the same board and planner have the same figures for them.
 
     Of them the oracle alone plans; where nothing is known of it with the board's planner, another's is marked.
     """
-    found: dict[str, dict[str, Any]] = defaultdict(dict)
+    planner = usual.planner
     own_first = sorted(entries, key=lambda entry: entry.planner != planner)
     oracle = next((entry.planner for entry in own_first if _planned(entry.content["reference"].get(ORACLE))), planner)
-    for entry in own_first:
-        for name, figures in entry.content["reference"].items():
-            if name == "paper":
-                continue
-            mine = oracle if name == ORACLE else entry.planner
-            for figure, value in _compared(figures, entry, mine, usual).items():
-                found[name].setdefault(figure, value)
+    found: dict[str, dict[str, Any]] = defaultdict(dict)
+    for is_own in (False, True):
+        said = [
+            (entry, name, usual.compared(figures, entry, oracle if name == ORACLE else entry.planner))
+            for entry in entries
+            for name, figures in entry.content["reference"].items()
+            if name != PUBLISHED and (entry.planner == planner) is is_own
+        ]
+        for name, figures in shared_figures(said).items():
+            found[name] |= figures
     return [
         Row(
             kind="reference",
@@ -339,57 +338,6 @@ def _reference_rows(entries: Sequence[Entry], planner: Planner | None, usual: Ma
 def _planned(figures: Mapping[str, Any] | None) -> bool:
     """Whether some figures are of control."""
     return any(name.startswith(CONTROLLED) for name in figures or ())
-
-
-def _ranked(rows: list[Row]) -> list[Row]:
-    """The measured rows, each with its paired difference from the best, and whether it leads in control."""
-    names = _all_figures(row for row in rows if not row.planned_otherwise)
-    if steps := control_steps(names):
-        rows = _leading(rows, f"control_distance[{steps[-1]}]")
-    ranked = [row for row in rows if RANKED_BY in row.figures and not row.unsound]
-    if not ranked:
-        return rows
-    best = min(ranked, key=lambda row: row.figures[RANKED_BY].mean)
-    return [
-        replace(row, is_best=True) if row is best else replace(row, behind=_difference(row, best, RANKED_BY))
-        for row in rows
-    ]
-
-
-def _all_figures(rows: Iterable[Row]) -> set[str]:
-    return {name for row in rows for name in row.figures}
-
-
-def _leading(rows: list[Row], figure: str) -> list[Row]:
-    """The rows, with a mark on those that have the lowest value of a figure or are tied with it."""
-    able = [row for row in rows if figure in row.figures and not row.planned_otherwise and not row.unsound]
-    best = min(able, key=lambda row: row.figures[figure].mean, default=None)
-    if best is None:
-        return rows
-    marked = []
-    for row in rows:
-        apart = None if row is best or row.unsound else _difference(row, best, figure)
-        leads = row is best or (apart is not None and apart.low is not None and apart.low <= 0 <= (apart.high or 0))
-        marked.append(replace(row, leads=row.leads | {figure}) if leads else row)
-    return marked
-
-
-def _difference(row: Row, best: Row, figure: str) -> Estimate | None:
-    """The paired difference of a row from the best; None if their control figures are of different planners."""
-    controlled = figure.startswith(CONTROLLED)
-    if figure not in row.figures or (controlled and row.planner != best.planner):
-        return None
-    sums = [
-        [
-            entry.by_episode[figure]
-            for entry in one.entries
-            if figure in entry.by_episode and (not controlled or entry.planner == one.planner)
-        ]
-        for one in (row, best)
-    ]
-    if any(len(own) != one.figures[figure].seeds for own, one in zip(sums, (row, best), strict=True)):
-        return None
-    return difference_by_episode(*sums)
 
 
 def _sorted(rows: Iterable[Row]) -> tuple[Row, ...]:

@@ -11,7 +11,7 @@ from dmotion_bench.registry import environment_title
 from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.wording import rounded
 from leaderboard.agreement import JOINED
-from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
+from leaderboard.board import OTHER_PLANNER, Board
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, Outcome, detectable_words
 from leaderboard.columns import POSITION_CHARGED, POSITION_FOUND, control_columns, named
 from leaderboard.comparison import GAIN_CAPTURED
@@ -21,6 +21,7 @@ from leaderboard.markdown import WIDTH, code, paragraph, plain, table
 from leaderboard.markdown_numbers import TO, between, figure, mean, of_some
 from leaderboard.planners import tuned_share
 from leaderboard.row import Row, each
+from leaderboard.usual import RANKED_BY
 from leaderboard.value import Value
 
 Cell = Callable[[Row], str]
@@ -28,7 +29,8 @@ Cell = Callable[[Row], str]
 
 def board_section(board: Board) -> list[str]:
     """The lines of a board: its heading, what it was measured on, and its tables."""
-    lines = [f"### {world(board)}: {plain(board.dataset)} ({board.fingerprint[:8]})", ""]
+    made_by = f", {plain(board.made_by)}" if board.made_by else ""
+    lines = [f"### {world(board)}: {plain(board.dataset)} ({board.fingerprint[:8]}){made_by}", ""]
     protocols = sorted({str(entry.content["protocol"]) for entry in board.entries if entry.is_measured})
     told = [named("Protocol", list(map(plain, protocols))), f"split by {plain(board.protocol)}"]
     lines.append(", ".join([*told, *([f"{board.triplets:,} predicted frames"] if board.triplets else [])]) + ".")

@@ -114,10 +114,11 @@ def check_entry(
     if not entry.is_measured:
         _against_tables(check)
         return check.verdict()
-    if entry.scored_by != SCORING_VERSION:
+    is_ours = entry.scored_by == SCORING_VERSION
+    if not is_ours:
         check.missing.append(
             f"version: the entry was scored by version {short(entry.scored_by)}, this is version {SCORING_VERSION}; "
-            "score the run again, or check with the dmbench that scored it"
+            "its figures were not compared; score the run again, or check with the dmbench that scored it"
         )
     if check.entry.column not in (None, *COLUMNS):
         check.wrong.append(f"settings.control_column is {short(check.entry.column)}, which cannot be")
@@ -134,7 +135,7 @@ def check_entry(
     folder = report_folder(run.path, run.spec.fingerprint, dataset, column=check.entry.column)
     against_run(check, run, dataset, folder)
     samples = stored_samples(check, folder)
-    if asked is None or read is None:
+    if asked is None or read is None or not is_ours:
         return check.verdict()
     if samples is not None:
         against_samples(check, samples, asked, read)
@@ -177,14 +178,15 @@ def _score_anew(
     how: Execution,
     shared: SharedSamples | None,
 ) -> None:
-    metrics = tuple(name for name in METRICS if name in check.entry.content["settings"]["metrics"] and name != CONTROL)
+    said = check.entry.content["settings"]
+    others = {CONTROL} if said.get(f"{GAIN}_version", GAIN_VERSION) == GAIN_VERSION else {CONTROL, GAIN}
+    metrics = tuple(name for name in METRICS if name in said["metrics"] and name not in others)
     scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, shared=shared)
-    same_scores(check, scores)
-    if dataset.fingerprint == run.spec.fingerprint:
-        same_labels(check, run, dataset)
+    same_scores(check, scores, metrics)
+    same_labels(check, run, dataset)
     check.expect(f"remarks.{CONTRACT}", check.entry.content["remarks"].get(CONTRACT), contract_remark(run, dataset))
     if samples is not None:
-        same_samples(check, samples, scores.samples, settings.differing)
+        same_samples(check, samples, scores.samples, settings.differing, metrics)
         same_pictures(check, take_pictures(run, dataset, scores.samples))
 
 

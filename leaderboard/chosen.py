@@ -14,6 +14,8 @@
     baseline = "idle"                  # a reference of the board; left out for figures that none of them has
     column = "generic"                 # of control by a frozen planner; left out for all other figures
     in_table = true                    # false for figures that only sentences of the page name
+
+Boards of another version of scoring or control, and of the paper's split, are not looked at.
 """
 
 from __future__ import annotations
@@ -127,7 +129,8 @@ def find_rows(choices: Sequence[Choice], boards: Sequence[Board]) -> list[Chosen
 
 def _found(choice: Choice, boards: Sequence[Board]) -> Chosen:
     name, _, fingerprint = choice.board.partition("@")
-    near = {f"{one.dataset}@{one.fingerprint[:8]}": one for one in boards if one.dataset}
+    compared = [one for one in boards if one.dataset and one.protocol != "paper" and not one.made_by]
+    near = {f"{one.dataset}@{one.fingerprint[:8]}": one for one in compared}
     matching = [one for one in near.values() if one.dataset == name and one.fingerprint.startswith(fingerprint)]
     board = _only(choice, "board", choice.board, matching, list(near))
     of_column = [] if board.control is None else rows_of_column(board.control, choice.column)

@@ -2,6 +2,9 @@
 
 It is made of entries whose control was planned by a column (``dmotion_bench/planning/columns.py``). Each says what one
 training leaves on each task. Intervals are over tasks and trainings; shares of solved tasks have Wilson's.
+
+Rows are comparable where they are over the same tasks and steps. Those over others than most trainings stand below
+them, with their number of tasks and steps, so that no entry hides the row of another one.
 """
 
 from __future__ import annotations
@@ -24,13 +27,17 @@ from leaderboard.columns import control_steps
 from leaderboard.comparison import PARTS
 from leaderboard.control import PUBLISHED
 from leaderboard.entry import Entry
+from leaderboard.extent import LOST, SUCCEEDED, Extent, is_whole
 from leaderboard.row import Row
 from leaderboard.run_names import training_data_of, training_of, unusual_settings, without_seed
+from leaderboard.usual import most_common, shared_figures
 from leaderboard.value import Value
 
-SUCCEEDED: Final = "control_success"
-LOST: Final = "control_lost"
 SOLVED_AT: Final = SUCCESS
+ORACLE: Final = "oracle"
+"""The reference that plans."""
+_OF_A_TRAINING: Final = ("seed", "weights")
+"""What tells the trainings of a row apart: each of them."""
 RowKey = tuple[str, str, str]
 """Model, variant and label budget."""
 
@@ -65,6 +72,7 @@ class ColumnRow:
 
     Attributes:
         name, variant, labels: What it is called, what tells it from others, its label budget.
+        extent: Its tasks and steps in words, where these are not the table's; empty of rows that are compared.
         label_count: What the budget came to.
         cells: By the columns' names.
         entries: Behind it; none of a reference.
@@ -73,14 +81,20 @@ class ColumnRow:
     name: str
     variant: str = ""
     labels: str = ""
+    extent: str = ""
     label_count: int | None = None
     cells: Mapping[str, Outcome]
     entries: tuple[Entry, ...] = ()
 
     @property
+    def small(self) -> str:
+        """What tells it from others of its name, in one."""
+        return ", ".join(part for part in (self.variant, self.extent) if part)
+
+    @property
     def title(self) -> str:
-        """Its name and its variant."""
-        return f"{self.name} ({self.variant})" if self.variant else self.name
+        """Its name, its variant and other tasks or steps."""
+        return f"{self.name} ({self.small})" if self.small else self.name
 
     @property
     def key(self) -> RowKey:
@@ -95,8 +109,9 @@ class ColumnTable:
     Attributes:
         dataset, fingerprint: Of the data set.
         columns: Names of those that there are figures of, in their order.
-        rows: The best of the first column first, references last.
+        rows: The best of the first column first, then those over other tasks or steps, references last.
         steps: Of a task.
+        made_by: Which other version of control it is of, in words; empty of this dmbench's.
         detectable: By column, the smallest difference between two models that the table can show, as a distance; of
             models with several trainings.
     """
@@ -106,7 +121,13 @@ class ColumnTable:
     columns: tuple[str, ...]
     rows: tuple[ColumnRow, ...]
     steps: int
+    made_by: str = ""
     detectable: Mapping[str, float]
+
+    @property
+    def compared(self) -> list[ColumnRow]:
+        """The rows over the table's tasks and steps, references among them."""
+        return [row for row in self.rows if not row.extent]
 
     @property
     def entries(self) -> list[Entry]:
@@ -114,39 +135,47 @@ class ColumnTable:
         return [entry for row in self.rows for entry in row.entries]
 
 
-def column_table(entries: Sequence[Entry], words: Mapping[str, str]) -> ColumnTable | None:
-    """The table of some entries, all planned by columns on the same tasks; None where nothing is comparable.
+def column_table(entries: Sequence[Entry], words: Mapping[str, str], *, made_by: str = "") -> ColumnTable | None:
+    """The table of some entries, all planned by columns of one version; None where nothing can be shown.
 
-    Where some entries are over fewer steps or tasks than others, as in a trial, they are left out, and so are those
-    with another seed than a column has.
+    It is of the tasks and steps of most trainings. Entries with another seed or more steps than a column has are left
+    out.
 
     Args:
         entries: Those of one data set.
         words: What references are called.
+        made_by: See ``ColumnTable``.
     """
-    known = [entry for entry in entries if entry.column in COLUMNS and _is_frozen(entry)]
-    steps = max((_last(entry) for entry in known), default=0)
-    figure = f"control_distance[{steps}]"
-    known = [entry for entry in known if _is_whole(entry.figures, figure)]
-    most = max((_tasks(entry, figure) for entry in known), default=0)
-    known = [entry for entry in known if _tasks(entry, figure) == most]
-    if not known:
+    frozen = [(entry, Extent.of(entry)) for entry in entries if entry.column in COLUMNS and _is_frozen(entry)]
+    known = [(entry, extent) for entry, extent in frozen if extent is not None]
+    usual = most_common(sorted(known, key=lambda one: one[1].size, reverse=True))
+    if usual is None:
         return None
-    groups: dict[tuple[str, ...], dict[str, list[Entry]]] = defaultdict(lambda: defaultdict(list))
-    for entry in known:
-        groups[training_of(entry)][str(entry.column)].append(entry)
+    groups: dict[tuple[Any, ...], dict[str, list[Entry]]] = defaultdict(lambda: defaultdict(list))
+    for entry, extent in known:
+        groups[extent, *training_of(entry)][str(entry.column)].append(entry)
     firsts = [next(iter(by_column.values()))[0] for by_column in groups.values()]
-    rows = [_row(key, by_column, figure) for key, by_column in zip(_keys(firsts), groups.values(), strict=True)]
+    extents = [key[0] for key in groups]
+    rows = [
+        _row(key, by_column, extent, usual)
+        for key, by_column, extent in zip(_keys(firsts, extents), groups.values(), extents, strict=True)
+    ]
     columns = tuple(name for name in COLUMNS if any(name in row.cells for row in rows))
     far = float("inf")
-    rows.sort(key=lambda row: (*(row.cells[name].left.mean if name in row.cells else far for name in columns), row.key))
-    dataset = known[0].content["dataset"]
+
+    def place(row: ColumnRow) -> tuple[Any, ...]:
+        left = (row.cells[name].left.mean if name in row.cells else far for name in columns)
+        return bool(row.extent), row.extent, *left, row.key
+
+    rows.sort(key=place)
+    dataset, own = known[0][0].content["dataset"], [entry for entry, extent in known if extent == usual]
     return ColumnTable(
         dataset=dataset["name"],
         fingerprint=dataset["fingerprint"],
         columns=columns,
-        rows=(*rows, *_references(known, columns, figure, words)),
-        steps=steps,
+        rows=(*rows, *_references(own, columns, usual.figure, words)),
+        steps=usual.steps,
+        made_by=made_by,
         detectable={name: found for name in columns if (found := _detectable(rows, name)) is not None},
     )
 
@@ -157,35 +186,27 @@ def _is_frozen(entry: Entry) -> bool:
     return entry.content["settings"].get("control_seed", 0) == frozen.seed and 0 < _last(entry) <= frozen.steps
 
 
-def _is_whole(figures: Mapping[str, Any], figure: str) -> bool:
-    """Whether some figures hold all that a cell shows: a distance over some tasks, a share, and objects lost."""
-    if not all(name in figures and figures[name]["mean"] is not None for name in (figure, SUCCEEDED, LOST)):
-        return False
-    return bool(figures[figure]["n"]) and 0 <= figures[SUCCEEDED]["mean"] <= 1
-
-
-def _tasks(entry: Entry, figure: str) -> int:
-    return int(entry.figures[figure]["n"] or 0)
-
-
 def _last(entry: Entry) -> int:
     return max(control_steps(entry.figures), default=0)
 
 
-def _keys(entries: Sequence[Entry]) -> list[RowKey]:
-    """Of entries of different trainings: model, variant and budget.
+def _keys(entries: Sequence[Entry], extents: Sequence[Extent]) -> list[RowKey]:
+    """Of entries of different trainings: model, variant and budget, different for all of one extent.
 
     The variant is how the labels were used, if not as usual, and what the run's name says beyond these, the preset and
     the seed. The number of threads is left out: of two results of a seed one counts. Where that is the same for several
     trainings, it also says what each was trained on, and for how long.
     """
     keys = [_key(entry) for entry in entries]
-    often = Counter(keys)
-    told = [_key(entry, _origin(entry)) if often[key] > 1 else key for entry, key in zip(entries, keys, strict=True)]
-    often = Counter(told)  # data sets of one name
+    often = Counter(zip(keys, extents, strict=True))
+    told = [
+        _key(entry, _origin(entry)) if often[key, extent] > 1 else key
+        for entry, key, extent in zip(entries, keys, extents, strict=True)
+    ]
+    often = Counter(zip(told, extents, strict=True))  # data sets of one name
     return [
-        _key(entry, _origin(entry), training_data_of(entry)["fingerprint"][:8]) if often[key] > 1 else key
-        for entry, key in zip(entries, told, strict=True)
+        _key(entry, _origin(entry), training_data_of(entry)["fingerprint"][:8]) if often[key, extent] > 1 else key
+        for entry, key, extent in zip(entries, told, extents, strict=True)
     ]
 
 
@@ -200,40 +221,37 @@ def _origin(entry: Entry) -> str:
     return f"trained on {training_data_of(entry)['name']}, preset {entry.content['preset']}"
 
 
-def _row(key: RowKey, by_column: Mapping[str, Sequence[Entry]], figure: str) -> ColumnRow:
+def _row(key: RowKey, by_column: Mapping[str, Sequence[Entry]], extent: Extent, usual: Extent) -> ColumnRow:
     entries = [entry for own in by_column.values() for entry in own]
-    cells = {name: cell for name, own in by_column.items() if (cell := _cell(own, figure)) is not None}
     name, variant, labels = key
     return ColumnRow(
         name=name,
         variant=variant,
         labels=labels,
-        label_count=entries[0].label_count,
-        cells=cells,
+        extent="" if extent == usual else extent.words,
+        label_count=most_common((entry, entry.label_count) for entry in entries),
+        cells={column: _cell(own, extent) for column, own in by_column.items()},
         entries=tuple(sorted(entries, key=lambda entry: (str(entry.column), entry.content["seed"], entry.slug))),
     )
 
 
-def _cell(entries: Sequence[Entry], figure: str) -> Outcome | None:
-    """The trainings with different seeds; of two results of one seed the first counts, as do those over its tasks."""
-    by_seed = {entry.content["seed"]: entry for entry in sorted(entries, key=lambda entry: entry.slug, reverse=True)}
-    trained = [by_seed[seed] for seed in sorted(by_seed)]
-    sums = [(entry, one) for entry in trained if (one := entry.by_episode.get(figure)) and one["n"]]
-    if not sums:
-        return None
-    most = max((one for _, one in sums), key=lambda one: sum(one["n"]))
-    same = [(entry, one) for entry, one in sums if (one["episode"], one["n"]) == (most["episode"], most["n"])]
-    counts = np.asarray(most["n"], np.float64)
-    table = np.array([one["sum"] for _, one in same], np.float64)
-    tasks = int(counts.sum())
-    share = float(np.mean([entry.figures[SUCCEEDED]["mean"] for entry, _ in same]))
+def _cell(entries: Sequence[Entry], extent: Extent) -> Outcome:
+    """The trainings with different seeds and weights; of two results of one training the first counts."""
+    trained: list[Entry] = []
+    for entry in sorted(entries, key=lambda entry: (entry.content["seed"], entry.slug)):
+        if all(entry.content[name] != other.content[name] for other in trained for name in _OF_A_TRAINING):
+            trained.append(entry)
+    counts = np.asarray(extent.tasks.counts, np.float64)
+    table = np.array([entry.by_episode[extent.figure]["sum"] for entry in trained], np.float64)
+    tasks, _ = extent.size
+    share = float(np.mean([entry.figures[SUCCEEDED]["mean"] for entry in trained]))
     return Outcome(
         left=over_trainings(table, counts),
         solved=(share, *wilson(share, tasks)),
-        lost=float(np.mean([entry.figures[LOST]["mean"] for entry, _ in same])),
+        lost=float(np.mean([entry.figures[LOST]["mean"] for entry in trained])),
         tasks=tasks,
-        trainings=len(same),
-        after=_after([entry.figures for entry, _ in same]),
+        trainings=len(trained),
+        after=_after([entry.figures for entry in trained]),
         sums=table,
         counts=counts,
     )
@@ -249,16 +267,20 @@ def _after(trainings: Sequence[Mapping[str, Any]]) -> dict[int, float]:
 def _references(
     entries: Sequence[Entry], columns: Sequence[str], figure: str, words: Mapping[str, str]
 ) -> list[ColumnRow]:
-    """The references beside the models; those that do not plan are the same in every column.
+    """The references beside the models; those that do not plan are the same in every column, the oracle is not.
 
     What was published was done by another planner, in other tasks.
     """
     found: dict[str, dict[str, Outcome]] = defaultdict(dict)
-    for entry in entries:
-        for name, figures in entry.content["reference"].items():
-            if name != PUBLISHED and _is_whole(figures, figure):
-                for column in (str(entry.column),) if name == "oracle" else columns:
-                    found[name].setdefault(column, _reference_cell(figures, figure))
+    for column in columns:
+        said = [
+            (entry, name, own)
+            for entry in entries
+            for name, own in entry.content["reference"].items()
+            if name != PUBLISHED and is_whole(own, figure) and (name != ORACLE or entry.column == column)
+        ]
+        for name, figures in shared_figures(said).items():
+            found[name][column] = _reference_cell(figures, figure)
     return [ColumnRow(name=words.get(name, name), cells=cells) for name, cells in found.items()]
 
 
@@ -277,7 +299,7 @@ def _reference_cell(figures: Mapping[str, Any], figure: str) -> Outcome:
 
 def rows_of_column(table: ColumnTable, column: str) -> list[Row]:
     """The rows that a column has cells of, as a board has its other rows: their distances after each step."""
-    found = [(row, row.cells[column]) for row in table.rows if column in row.cells]
+    found = [(row, row.cells[column]) for row in table.compared if column in row.cells]
     return [
         Row(
             kind="measured" if row.entries else "reference",
@@ -328,7 +350,8 @@ def _detectable(rows: Sequence[ColumnRow], column: str) -> float | None:
     measured = [
         (cell.sums, cell.counts)
         for row in rows
-        if (cell := row.cells.get(column)) is not None
+        if not row.extent
+        and (cell := row.cells.get(column)) is not None
         and cell.sums is not None
         and cell.counts is not None
         and len(cell.sums) > 1  # one training says nothing of what differs between trainings

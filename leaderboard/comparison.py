@@ -18,7 +18,7 @@ from dmotion_bench.pairing import compare_runs, scored
 from dmotion_bench.scoring.differences import CONTROL_DISTANCES, Difference, better
 from dmotion_bench.scoring.figures import PUSH, figures_of
 from dmotion_bench.scoring.samples import GAIN, column
-from dmotion_bench.scoring.statistics import EARLIER_FEWEST, Estimate
+from dmotion_bench.scoring.statistics import EARLIER_FEWEST, ROUNDING, Estimate
 from dmotion_bench.scoring.trainings import difference_over_trainings, over_trainings
 
 __all__ = [
@@ -68,7 +68,8 @@ def figures_by_samples(
         found |= {name: earlier[name] for name in short}
     for name, one in found.items():
         given = said.get(name, {})
-        if one.std == 0 and given.get("low") == one.mean == given.get("high"):
+        low, high = given.get("low"), given.get("high")
+        if one.std <= ROUNDING and low is not None and high is not None and high - low <= ROUNDING:
             found[name] = replace(one, low=one.mean, high=one.mean)
     return as_in_an_entry({name: one.to_json() for name, one in found.items()})
 

@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import hashlib
 import json
+import math
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -22,10 +23,19 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from dmotion_bench.errors import EntryInvalid
+from dmotion_bench.planning.mpc import CONTROL_VERSION
 from dmotion_bench.recording.session import SHARD_EPISODES
 from dmotion_bench.scoring.decisive import GAINED, planning_settings
 from dmotion_bench.scoring.references import PublishedResult
-from dmotion_bench.scoring.report import CONTROL_OF_CODE, LABEL_USES, SCORING_OF_CODE, FigureJson, Version
+from dmotion_bench.scoring.report import (
+    CONTROL_OF_CODE,
+    LABEL_USES,
+    SCORING_OF_CODE,
+    SCORING_VERSION,
+    FigureJson,
+    Version,
+)
+from dmotion_bench.scoring.samples import CONTROL
 from dmotion_bench.specs import IMPORTED, VERSION, DatasetRecipe
 from dmotion_bench.storage.manifest import identified_recipe, record_words
 from leaderboard.json_schema import Schema
@@ -41,16 +51,35 @@ SHOWN_VIOLATIONS: Final = 3
 HASH: Final = re.compile(r"[0-9a-f]{64}")
 
 
+USUAL_PRECISION: Final = "float32"
+SUMMED: Final = 1e-6
+"""Relative; between a mean and that of its sums over episodes, which were added up in another order."""
+
+
+class Frames(NamedTuple):
+    """The samples that a figure is the mean of: frames, or tasks.
+
+    Attributes:
+        episodes: Their episodes.
+        counts: How many there are of each.
+    """
+
+    episodes: tuple[int, ...]
+    counts: tuple[float, ...]
+
+
 class Planner(NamedTuple):
     """By what control is told apart: only what one planner did is averaged and compared.
 
     Attributes:
         version: Of control.
         settings: The solver, the objective where one was named, the tasks, their steps and the seed, as a text.
+        tasks: The tasks that distances at the end truly are of; None where the entry does not tell.
     """
 
     version: Version
     settings: str
+    tasks: Frames | None = None
 
 
 @functools.cache
@@ -195,7 +224,30 @@ class Entry:
         if version is None:
             return None
         decisive = planning_settings(self.content["settings"])
-        return Planner(version, json.dumps([*decisive.values()], default=str))
+        ended = next((name for name in self.by_episode if name.startswith(CONTROL)), "")
+        return Planner(version, json.dumps([*decisive.values()], default=str), self.frames.get(ended))
+
+    @property
+    def made_by(self) -> str:
+        """Which version of scoring, or of control by a column, made its figures; empty of this dmbench's."""
+        of_column = self.column is not None
+        version, present = (self.planned_by, CONTROL_VERSION) if of_column else (self.scored_by, SCORING_VERSION)
+        what = "control of" if of_column else "scored by"
+        return "" if version == present else f"{what} version {version}"
+
+    @property
+    def precision(self) -> str:
+        """That the model predicted in."""
+        return str(self.content["settings"]["precision"])
+
+    @functools.cached_property
+    def frames(self) -> Mapping[str, Frames]:
+        """The samples that figures are the means of, by the figures whose sums over episodes come to the mean."""
+        return {
+            name: Frames(tuple(sums["episode"]), tuple(sums["n"]))
+            for name, sums in self.by_episode.items()
+            if name in self.figures and _is_mean_of(sums, self.figures[name])
+        }
 
     def decisive(self, figure: str) -> str:
         """The settings that decide a figure beside those that a board has in common, as a text to compare."""
@@ -257,6 +309,14 @@ def _plain(name: str) -> str:
 def _recipe_of(identity: bytes) -> DatasetRecipe:
     """``identified_recipe``, read once for all entries of a data set."""
     return identified_recipe(identity)
+
+
+def _is_mean_of(sums: Mapping[str, Any], figure: FigureJson) -> bool:
+    """Whether a figure is the mean of some sums over episodes, and of as many samples."""
+    whole, mean = sum(sums["n"]), figure["mean"]
+    if mean is None or not whole or figure["n"] != whole:
+        return False
+    return math.isclose(sum(sums["sum"]) / whole, mean, rel_tol=SUMMED, abs_tol=SUMMED)
 
 
 def _sums_violations(name: str, sums: Mapping[str, Any]) -> Iterable[str]:

@@ -11,6 +11,7 @@ from leaderboard.entry import Entry
 from leaderboard.markup import Markup, element, joined
 from leaderboard.pictures import identity, shown
 from leaderboard.row import Row
+from leaderboard.usual import most_common
 
 BUDGET: Final = 1_800_000
 """Characters of pictures on a page."""
@@ -50,13 +51,14 @@ def _sizes(board: Board) -> list[int]:
 
 def gallery(board: Board, steps: int) -> Markup | None:
     """The first steps of the pictures of a board, and how many are left out; None where no entry has any."""
-    every, rows = _steps(board), _pictured(board)
-    chosen = every[:steps]
-    if not every:
+    shown_by, rows = _shown_by(board), _pictured(board)
+    if shown_by is None:
         return None
+    every = _steps(board)
+    chosen = every[:steps]
     missing = "The pictures are" if not chosen else f"{len(every) - steps} of {len(every)} steps are"
     left_out = f"{missing} {LEFT_OUT}; the entries hold them." if len(chosen) < len(every) else ""
-    steps_shown = [_step(picture, rows) for picture in chosen]
+    steps_shown = [_step(picture, shown_by, rows) for picture in chosen]
     return element(
         "section",
         element("h3", "What the models predict"),
@@ -73,13 +75,13 @@ def gallery(board: Board, steps: int) -> Markup | None:
     )
 
 
-def _step(picture: Mapping[str, Any], rows: Sequence[Row]) -> Markup:
+def _step(picture: Mapping[str, Any], shown_by: Entry, rows: Sequence[Row]) -> Markup:
     """One step: the frame before, the truth, and what each model makes of it."""
     what = f"{picture['action']}, {'an object is pushed' if picture['pushed'] else 'nothing is pushed'}"
     where = f"episode {picture['episode']}, step {picture['step']}"
     tiles = [
-        _tile("frame before", "", where, picture["current"], rows[0].entries[0]),
-        _tile("true next frame", "", where, picture["truth"], rows[0].entries[0]),
+        _tile("frame before", "", where, picture["current"], shown_by),
+        _tile("true next frame", "", where, picture["truth"], shown_by),
     ]
     for row in rows:
         own = _of(row.entries[0], [picture])[0]
@@ -113,12 +115,20 @@ def _tile(name: str, small: str, where: str, png: str, entry: Entry) -> Markup:
     )
 
 
+def _shown_by(board: Board) -> Entry | None:
+    """The first entry with the steps and the true frames that most trainings have; None where no entry has pictures."""
+    votes = [
+        (row.entries[0], tuple((identity(one), one["current"], one["truth"]) for one in row.entries[0].pictures))
+        for row in _pictured(board)
+    ]
+    usual = most_common(votes)
+    return next((entry for entry, own in votes if own == usual), None)
+
+
 def _steps(board: Board) -> list[Mapping[str, Any]]:
-    """The steps of the first entry with pictures, pushes and other steps in turn."""
-    rows = _pictured(board)
-    if not rows:
-        return []
-    pictures = rows[0].entries[0].pictures
+    """The steps of the pictures, pushes and other steps in turn."""
+    shown_by = _shown_by(board)
+    pictures = [] if shown_by is None else shown_by.pictures
     pushes, others = ([one for one in pictures if one["pushed"] is wanted] for wanted in (True, False))
     mixed: list[Mapping[str, Any]] = []
     while pushes or others:

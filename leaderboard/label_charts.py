@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from dmotion_bench.planning.columns import HEADLINE
-from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
+from leaderboard.board import REFERENCE_WORDS, Board
 from leaderboard.chart import Axis, Guide, Point, Series, Style, line_chart
 from leaderboard.chart_figure import Styles, chart_figure, chart_numbers, point_of, reference_guides
 from leaderboard.columns import DISTANCE_LEFT, POSITION_CHARGED, ROLLOUT_STEPS, control_steps, count, number
@@ -33,6 +33,7 @@ from leaderboard.efficiency import (
 from leaderboard.markup import Markup
 from leaderboard.row import Row
 from leaderboard.run_names import training_data_of
+from leaderboard.usual import RANKED_BY
 
 COPYING: Final = REFERENCE_WORDS["copy_last"]
 _AHEAD: Final = ROLLOUT_STEPS[-1]

@@ -7,11 +7,12 @@ import textwrap
 from collections.abc import Collection, Sequence
 from typing import Final
 
-from leaderboard.board import RANKED_BY, Board
+from leaderboard.board import Board
 from leaderboard.efficiency import WITHIN, common_budgets, learned, needed_of_rows, of_budgets
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import mean
 from leaderboard.row import Row
+from leaderboard.usual import RANKED_BY
 
 MOST_BUDGETS: Final = 8
 """Besides that of all labels; a page has no room for more."""

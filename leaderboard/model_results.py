@@ -16,7 +16,7 @@ from importlib import resources
 from typing import Final, TypeVar
 
 from dmotion_bench.planning.columns import COLUMNS, HEADLINE
-from leaderboard.board import RANKED_BY, REFERENCE_WORDS, Board
+from leaderboard.board import REFERENCE_WORDS, Board
 from leaderboard.board_tables import (
     budget,
     budget_words,
@@ -36,6 +36,7 @@ from leaderboard.markdown import plain, table
 from leaderboard.markdown_numbers import figure, mean
 from leaderboard.markup import Markup, element, joined
 from leaderboard.row import EACH_MEANING, Row, each
+from leaderboard.usual import RANKED_BY
 from leaderboard.value import Value
 
 CURVES: Final = "curves"
@@ -163,7 +164,7 @@ def _frozen(model: str, boards: Sequence[Board]) -> list[str]:
         return []
     columns: dict[str, Callable[[Board, ColumnRow], str]] = {
         "Data set": lambda board, row: plain(_dataset(board, boards)),
-        "Variant": lambda board, row: plain(row.variant),
+        "Variant": lambda board, row: plain(row.small),
         "Labels": lambda board, row: budget_words(row.label_count, row.labels),
         "Trainings": lambda board, row: each_trainings(row, names),
         "Tasks": lambda board, row: " / ".join(sorted({str(cell.tasks) for cell in row.cells.values()}, key=int)),
@@ -198,9 +199,13 @@ def _wrapped(text: str) -> list[str]:
 
 
 def _dataset(board: Board, boards: Sequence[Board]) -> str:
-    """The name of a board's data set; the beginning of its hash where another board has the same name."""
+    """The name of a board's data set; the beginning of its hash where another board has the same name.
+
+    Behind it stands which other version made the board's figures.
+    """
     alike = {one.fingerprint for one in boards if one.dataset == board.dataset}
-    return f"{board.dataset} ({board.fingerprint[:8]})" if len(alike) > 1 else board.dataset
+    told = f"{board.dataset} ({board.fingerprint[:8]})" if len(alike) > 1 else board.dataset
+    return f"{told}, {board.made_by}" if board.made_by else told
 
 
 def _published(board: Board, row: Row) -> dict[str, Value]:
@@ -227,9 +232,9 @@ def _of_steps(figures: Mapping[str, Value], base: str) -> dict[int, float]:
 
 def _drawn(model: str, boards: Sequence[Board], base: str) -> list[Place]:
     """Of each board and label budget the row with the least error; what one demonstration does, more need not show."""
-    best: dict[tuple[str, str], Place] = {}
+    best: dict[tuple[tuple[str, ...], str], Place] = {}
     for board, row in _places(model, boards):
-        key = (board.fingerprint, row.labels)
+        key = (board.key, row.labels)
         if len(_steps(row, base)) < 2 or RANKED_BY not in row.figures or row.planned_otherwise:
             continue
         if key not in best or row.figures[RANKED_BY].mean < best[key][1].figures[RANKED_BY].mean:
@@ -244,21 +249,17 @@ def _drawn_of_control(model: str, boards: Sequence[Board]) -> list[Place]:
 
 def _by_headline(model: str, boards: Sequence[Board]) -> list[Place]:
     """Of each data set and label budget the model's first row of the headline's column, where the best are first."""
-    best: dict[tuple[str, str], Place] = {}
+    best: dict[tuple[tuple[str, ...], str], Place] = {}
     for board, row in _places(model, [one for board in boards if (one := board.by_headline) is not None]):
         if len(_steps(row, "control_distance")) > 1:
-            best.setdefault((board.fingerprint, row.labels), (board, row))
+            best.setdefault((board.key, row.labels), (board, row))
     return _one_of_shots(best)
 
 
-def _one_of_shots(best: Mapping[tuple[str, str], Place]) -> list[Place]:
+def _one_of_shots(best: Mapping[tuple[tuple[str, ...], str], Place]) -> list[Place]:
     """Rows by board and budget, without those of several demonstrations where there is one of one."""
-    one_shot = {fingerprint for fingerprint, asked in best if asked == "one-shot"}
-    return [
-        place
-        for (fingerprint, asked), place in best.items()
-        if not (fingerprint in one_shot and MORE_SHOTS.fullmatch(asked))
-    ]
+    one_shot = {board for board, asked in best if asked == "one-shot"}
+    return [place for (board, asked), place in best.items() if not (board in one_shot and MORE_SHOTS.fullmatch(asked))]
 
 
 def _rollout(model: str, boards: Sequence[Board], words: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -96,15 +96,22 @@ def _same_sums(said: Mapping[str, Any], found: Mapping[str, Any]) -> bool:
     return same and all(np.allclose(said[name], found[name], rtol=SAME, atol=SAME) for name in ("n", "sum"))
 
 
-def same_scores(check: Findings, scores: Scores) -> None:
-    """Compare every mean with the new scoring; intervals were compared with the samples already."""
+def same_scores(check: Findings, scores: Scores, metrics: Collection[str]) -> None:
+    """Compare every mean with the new scoring; intervals were compared with the samples already.
+
+    Args:
+        check: Takes down what is found.
+        scores: The new scoring.
+        metrics: The groups of figures that were scored.
+    """
     content = check.entry.content
+    not_scored = (CONTROLLED,) if GAIN in metrics else (CONTROLLED, GAIN_CAPTURED)
     everything = {"figures": (content["figures"], scores.figures)}
     for name, figures in scores.reference.items():
         everything[f"reference.{name}"] = (content["reference"].get(name, {}), figures)
     for where, (said, figures) in everything.items():
         mine = {name: one.to_json() for name, one in figures.items()}
-        others = {name: figure for name, figure in said.items() if not name.startswith(CONTROLLED)}
+        others = {name: figure for name, figure in said.items() if not name.startswith(not_scored)}
         for later in (None, *LATER):
             ours, theirs = (
                 {name: one for name, one in all_of.items() if _came(name) == later} for all_of in (mine, others)
@@ -124,12 +131,14 @@ def _came(figure: str) -> str | None:
     return next((later for later in LATER if figure.startswith(later)), None)
 
 
-def same_samples(check: Findings, stored: pa.Table, scored: pa.Table, differing: float) -> None:
-    """Compare the samples row by row; a given share may differ, because processors round differently."""
+def same_samples(
+    check: Findings, stored: pa.Table, scored: pa.Table, differing: float, metrics: Collection[str]
+) -> None:
+    """Compare the samples of some groups row by row; a given share may differ, because processors round differently."""
     predictors = np.unique(np.concatenate([column(table, "predictor") for table in (stored, scored)]).astype(str))
     wrong, later, known = list[str](), 0, 0
     for predictor in predictors.tolist():
-        for metric in ("prediction", "rollout", GAIN):
+        for metric in (one for one in ("prediction", "rollout", GAIN) if GAIN in metrics or one != GAIN):
             one, other = (_part(table, predictor, metric) for table in (stored, scored))
             keys, others = (np.stack([column(table, name) for name in _KEY], axis=1) for table in (one, other))
             if not np.array_equal(keys, others):

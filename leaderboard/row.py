@@ -48,6 +48,8 @@ class Row:
         planner: The planner behind its figures of control; None where it has none.
         planned_otherwise: Whether that is another one than the board's.
         unsound: Whether its model breaks the contract: it is neither the best nor tied with the best.
+        apart: Whether its predictions are of other frames, or in another precision, than the others of the board, or a
+            training that counts in another row: they are compared with none.
     """
 
     kind: RowKind
@@ -65,6 +67,7 @@ class Row:
     planner: Planner | None = None
     planned_otherwise: bool = False
     unsound: bool = False
+    apart: bool = False
 
     @property
     def title(self) -> str:

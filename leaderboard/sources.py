@@ -20,7 +20,7 @@ from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.label_use import label_use
 from dmotion_bench.scoring.references import published_for
 from dmotion_bench.scoring.report import CONTRACT, LATER_TRAINING, protocol_of, read_report, training_facts
-from dmotion_bench.scoring.transfer import training_is_here, training_of, transferable
+from dmotion_bench.scoring.transfer import own_dataset, training_is_here, training_of, transferable
 from dmotion_bench.specs import IMPORTED
 from dmotion_bench.storage.check import cache_damages, labels_state, table_damages
 from dmotion_bench.storage.dataset import Dataset
@@ -180,11 +180,23 @@ def against_run(check: Findings, run: Run, dataset: Dataset, report: Path) -> No
 def same_labels(check: Findings, run: Run, dataset: Dataset) -> None:
     """Compare the number of labels that a run says it was given with what its budget gives on its data set.
 
+    Args:
+        check: Takes down what is found.
+        run: Has the entry's weights.
+        dataset: That the entry was scored on: the one of the training, or another beside which that may be here.
+
     Raises:
-        LabelsNotAvailable: The data set does not have them.
+        LabelsNotAvailable: The budget does not allow them.
     """
+    trained_on = dataset if dataset.fingerprint == run.spec.fingerprint else own_dataset(run)
+    if trained_on is None:
+        return  # as_read says that it is missing
+    if labels_state(trained_on.path, trained_on.manifest, trained_on.remote) == "missing":
+        check.remarks.append(f"labels: {shown(trained_on.name)} is here without them, so they were not counted again")
+        return
+    found = labels_of(run.spec, trained_on)
     said = {purpose: count for purpose, count in check.entry.content["labels"]["given"].items() if count}
-    check.expect(f"labels.given, by the budget {run.spec.labels} and the data set", said, labels_of(run.spec, dataset))
+    check.expect(f"labels.given, by the budget {run.spec.labels} and the data set", said, found)
 
 
 def labels_of(spec: RunSpec, dataset: Dataset) -> dict[str, int]:

@@ -8,13 +8,14 @@ from functools import partial
 from dmotion_bench.planning.columns import COLUMNS
 from dmotion_bench.scoring.differences import standing
 from leaderboard.agreement import JOINED
-from leaderboard.board import OTHER_PLANNER, RANKED_BY, Board
+from leaderboard.board import OTHER_PLANNER, Board
 from leaderboard.board_tables import tuned
 from leaderboard.column_table import SOLVED_AT, ColumnRow, ColumnTable, detectable_words
 from leaderboard.columns import Column, columns_for, control_columns, count, interval, named, number, signed
 from leaderboard.control import FIGURES as CONTROLLED
 from leaderboard.markup import Markup, element, joined
 from leaderboard.row import EACH_MEANING, Row, each
+from leaderboard.usual import RANKED_BY
 from leaderboard.value import Value
 
 SHOWN_SEPARATELY = "as published"
@@ -112,7 +113,7 @@ def column_standings(control: ColumnTable, anchor: str) -> Markup:
 
 def _column_row(row: ColumnRow, columns: Sequence[str]) -> Markup:
     name = element("a", row.name, href=f"#{row.entries[0].slug}") if row.entries else element("span", row.name)
-    small = element("small", row.variant or ("" if row.entries else "reference"))
+    small = element("small", row.small or ("" if row.entries else "reference"))
     labels = "" if row.label_count is None else count(row.label_count)
     cells = [
         element("th", name, small, scope="row", data_value=row.title),

@@ -23,8 +23,9 @@ from scipy import stats
 
 from dmotion_bench.scoring.label_use import USUAL_USES
 from dmotion_bench.scoring.report import LABEL_USES
-from leaderboard.board import RANKED_BY, Board
+from leaderboard.board import Board
 from leaderboard.row import USUAL_BUDGETS, Row
+from leaderboard.usual import RANKED_BY
 
 LEAST_MODELS: Final = 2
 RESAMPLES: Final = 2_000
@@ -75,7 +76,8 @@ class Summary:
     Attributes:
         boards: One a world: the board of most models.
         standings: The models.
-        left_out: The names of models that lack a result with their usual settings in one of these worlds.
+        left_out: The names of models that lack a result with their usual settings in one of these worlds, by this
+            version of scoring.
         too_small: The worlds with results of less than half as many models, which would leave most models out.
         unusual: The worlds in which no model was trained with its usual settings.
     """
@@ -91,8 +93,10 @@ def summarise(boards: Iterable[Board]) -> Summary | None:
     """The summary of some boards; None where there is nothing to compare across worlds."""
     best, measured = dict[str, _World](), set[str]()
     for board in boards:
-        found = _usual_rows(board)
         measured |= {row.model for row in _comparable_rows(board)}
+        if board.made_by:  # scores of two versions are not averaged
+            continue
+        found = _usual_rows(board)
         if board.environment not in best or len(found) > len(best[board.environment][1]):
             best[board.environment] = board, found
     most = max((len(found) for _, found in best.values()), default=0)

@@ -8,12 +8,13 @@ from collections.abc import Collection, Sequence
 from typing import Final
 
 from dmotion_bench.registry import environment_class, environment_names
-from leaderboard.board import RANKED_BY, Board
+from leaderboard.board import Board
 from leaderboard.columns import TRUE_MOTION
 from leaderboard.markdown import WIDTH, plain, table
 from leaderboard.markdown_numbers import TO
 from leaderboard.markup import Markup, element, joined
 from leaderboard.summary import Standing, Summary
+from leaderboard.usual import RANKED_BY
 
 TITLE: Final = "All worlds together"
 SCORE: Final = (

@@ -29,6 +29,7 @@ class Verdict:
         figures, samples: How many were held against a new scoring.
         weights: The hash of the weights that the entry names; None for a published row.
         seed: Of the training that it names.
+        run: The name of its run.
     """
 
     entry: str
@@ -39,6 +40,7 @@ class Verdict:
     samples: int = 0
     weights: str | None = None
     seed: int | None = None
+    run: str | None = None
 
     @property
     def holds(self) -> bool:
@@ -100,30 +102,41 @@ class Findings:
             samples=self.samples,
             weights=self.entry.content["weights"] if self.entry.is_measured else None,
             seed=self.entry.content["seed"] if self.entry.is_measured else None,
+            run=self.entry.name if self.entry.is_measured else None,
         )
 
 
 def copies_found(verdicts: Sequence[Verdict]) -> list[Verdict]:
-    """The verdicts, with a finding at each entry whose weights another one calls a training with another seed.
+    """The verdicts, with what is to be said where several entries have the same weights.
 
-    Copies are found by the hash of their weights: of ones that were changed a little nothing is said.
+    At each entry whose weights another one calls a training with another seed that is a finding. Where they only have
+    another name it is a remark. Copies are found by the hash of their weights: of ones that were changed a little
+    nothing is said.
     """
     seeds: dict[str, dict[int, str]] = {}
+    runs: dict[str, dict[str, int]] = {}
     for one in verdicts:
-        if one.weights is not None and one.seed is not None:
+        if one.weights is not None and one.seed is not None and one.run is not None:
             seeds.setdefault(one.weights, {}).setdefault(one.seed, one.entry)
+            runs.setdefault(one.weights, {}).setdefault(one.run, one.seed)
 
-    def with_finding(one: Verdict) -> Verdict:
-        others = {} if one.weights is None else seeds[one.weights]
-        told = [
+    def with_copies(one: Verdict) -> Verdict:
+        if one.weights not in seeds:
+            return one
+        findings = [
             f"weights: {name} has the same and calls them a training with seed {seed}, here it is {one.seed}; "
             "they are one training"
-            for seed, name in others.items()
+            for seed, name in seeds[one.weights].items()
             if seed != one.seed
         ]
-        return replace(one, findings=(*one.findings, *told)) if told else one
+        remarks = [
+            f"weights: the run {name} has the same; they are one training under two names"
+            for name, seed in runs[one.weights].items()
+            if name != one.run and seed == one.seed
+        ]
+        return replace(one, findings=(*one.findings, *findings), remarks=(*one.remarks, *remarks))
 
-    return [with_finding(one) for one in verdicts]
+    return [with_copies(one) for one in verdicts]
 
 
 def short(value: object) -> str:

@@ -18,7 +18,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float, Shaped
 
-from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, is_solved
+from dmotion_bench.scoring.figures import PUSH, ROLLOUT_COLUMNS, SHARES, base_of, is_solved
 from dmotion_bench.scoring.samples import (
     CONTROL,
     FIGURE_COLUMNS,
@@ -99,7 +99,7 @@ def better(figure: str, low: float | None, high: float | None) -> Better | None:
     """Which of two models is better, by the interval of first - second; None if the interval contains zero."""
     if low is None or high is None or low <= 0 <= high:
         return None
-    base = figure.removeprefix("rollout_").partition("[")[0].removesuffix(PUSH)
+    base = base_of(figure)
     if base in NEITHER_IS_BETTER:
         return None
     return "first" if (low > 0) == (base in HIGHER_IS_BETTER) else "second"
@@ -200,7 +200,7 @@ def _difference(
     apart = (values[:trainings].mean(axis=0) - values[trainings:].mean(axis=0)) / wholes
     first, second = (float(own.mean(axis=0).sum() / wholes.sum()) for own in (values[:trainings], values[trainings:]))
     estimate = replace(estimate, std=float(apart.std()), n=int(counted.sum()))
-    estimate = estimate.of_shares_apart() if figure == _SOLVED else estimate
+    estimate = estimate.within(-1, 1) if base_of(figure) in SHARES else estimate
     return Difference(figure=figure, first=first, second=second, difference=estimate)
 
 

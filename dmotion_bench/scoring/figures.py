@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 from jaxtyping import Float
 
+from dmotion_bench.scoring.frame_measures import OBJECTS_ONLY
 from dmotion_bench.scoring.identification import codebook_use, motion_within_over_between
 from dmotion_bench.scoring.probes import probe_scores
 from dmotion_bench.scoring.samples import (
@@ -38,6 +39,20 @@ SUCCESS = 0.2
 
 THRESHOLDS = (0.1, 0.2, 0.5)
 
+SHARES: Final = frozenset(
+    {
+        "miss_rate",
+        "false_positive_rate",
+        "agent_iou",
+        "motion_probe_accuracy",
+        "inverse_accuracy",
+        "hit_at_1",
+        "reciprocal_rank",
+        "control_success",
+    }
+)
+"""Figures whose samples lie between 0 and 1, by ``base_of`` their names: where all are alike, no draw differs."""
+
 Figures = dict[str, Estimate]
 Bootstraps = Callable[[Any], EpisodeBootstrap]
 """From the episodes of some samples to their bootstrap."""
@@ -61,7 +76,13 @@ def figures_of(
     found |= _rollouts(rollout, bootstrap)
     found |= _gain(_where(mine, "metric", GAIN), bootstrap)
     found |= _control_by_pictures(_where(mine, "metric", PICTURE_CONTROL), bootstrap)
-    return found | _control(controlled, bootstrap)
+    found |= _control(controlled, bootstrap)
+    return {name: one.within(0, 1) if base_of(name) in SHARES else one for name, one in found.items()}
+
+
+def base_of(figure: str) -> str:
+    """What a figure is a mean of, by its fixed name: without how far ahead, of which agent, and over which steps."""
+    return figure.removeprefix("rollout_").partition("[")[0].removesuffix(PUSH).removesuffix(OBJECTS_ONLY)
 
 
 def _where(samples: pa.Table, name: str, value: str) -> pa.Table:
@@ -95,7 +116,11 @@ def _probes(single: pa.Table, bootstrap: EpisodeBootstrap) -> Figures:
         columns = vectors(single, PROBE + factor)
         if columns is not None:
             scores = probe_scores(columns.astype(np.float64), bootstrap)
-            found |= {f"{PROBE}{name}[{factor}]": estimate for name, estimate in scores.items()}
+            is_share = factor == "action" and not single["action"].null_count  # of names that are read right
+            found |= {
+                f"{PROBE}{name}[{factor}]": estimate.within(0, 1) if is_share else estimate
+                for name, estimate in scores.items()
+            }
     return found
 
 
@@ -173,11 +198,7 @@ def _control(samples: pa.Table, over_episodes: Bootstraps) -> Figures:
         values[f"control_success[{limit}]"] = is_solved(distance[final], limit)
     values["control_lost"] = column(samples, "control_lost")[final].astype(np.float64)
     estimates = {name: bootstrap.mean(one) for name, one in values.items()}
-    return {
-        name: estimate.of_share() if name.startswith("control_success") else estimate
-        for name, estimate in estimates.items()
-        if estimate is not None
-    }
+    return {name: estimate for name, estimate in estimates.items() if estimate is not None}
 
 
 def _control_by_pictures(samples: pa.Table, over_episodes: Bootstraps) -> Figures:

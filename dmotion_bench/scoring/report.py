@@ -63,7 +63,8 @@ SCORING_VERSION: Final = 1
 
 Raise it when a change gives another figure, beyond rounding, of the same model on the same data. ``tests/golden/
 scoring.json`` holds figures to notice that by. A report of another version is scored again. A figure that is new and
-leaves the others as they are needs no new version, nor does an interval that is no longer given.
+leaves the others as they are needs no new version, nor does an interval that is no longer given, or one that has got a
+width where all samples are alike.
 """
 
 SCORING_OF_CODE: Final[Mapping[str, int]] = MappingProxyType({"0.1.0+f4b222bec15f": 1})

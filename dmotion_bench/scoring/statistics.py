@@ -58,24 +58,18 @@ class Estimate:
     n: int
     episodes: int | None = None
 
-    def of_share(self) -> Estimate:
-        """The same of a share: where all cases are alike, no draw differs; the interval is Wilson's over episodes."""
-        if self.std or self.low is None or self.high is None or not self.episodes:
-            return self
-        low, high = wilson(self.mean, self.episodes)
-        return replace(self, low=min(low, self.mean), high=max(high, self.mean))
+    def within(self, least: float, most: float) -> Estimate:
+        """The same of a figure whose samples all lie between two bounds, as those of a share lie between 0 and 1.
 
-    def of_shares_apart(self) -> Estimate:
-        """The same of a difference of two shares, which lies between -1 and 1.
-
-        Where it is alike in all cases, no draw of them differs. Wilson's interval over episodes then bounds the share
-        of other cases, each of which may differ by anything from -1 to 1.
+        Where all samples are alike, no draw of them differs. The upper end of Wilson's interval for none of as many
+        cases as there are episodes then bounds the share of other cases, each of which may be anything between the
+        bounds. Of a share that is 0 or 1 this is Wilson's interval.
         """
         if self.low is None or self.high is None or not self.episodes:
             return self
         _, others = (0.0, 0.0) if self.std > ROUNDING else wilson(0.0, self.episodes)
-        low, high = (self.mean + others * (bound - self.mean) for bound in (-1, 1))
-        return replace(self, low=max(-1.0, min(low, self.low)), high=min(1.0, max(high, self.high)))
+        low, high = (self.mean + others * (bound - self.mean) for bound in (least, most))
+        return replace(self, low=max(least, min(low, self.low)), high=min(most, max(high, self.high)))
 
     def to_json(self) -> dict[str, Any]:
         """As it stands in a report."""

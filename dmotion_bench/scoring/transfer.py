@@ -89,7 +89,7 @@ def transferable(run: Run, dataset: Dataset, split: SplitName, column: str | Non
         RunMismatch: It does not fit the run, or holds episodes that the run was trained on.
         DatasetMissing: As ``fitting`` raises it.
     """
-    read, own = fitting(run, dataset), _own_dataset(run)
+    read, own = fitting(run, dataset), own_dataset(run)
     if own is None:
         return read
     trained = np.arange(len(own)) if run.spec.protocol == "paper" else _concatenated(own, "train", "validation")
@@ -117,7 +117,7 @@ def fitting(run: Run, dataset: Dataset) -> Dataset:
         RunMismatch: It has other pictures or actions than the run's model, or is of another environment.
         DatasetMissing: It is an import with actions, and the run's own data set, which has their order, is not there.
     """
-    spec, name, own = run.spec, dataset.name, _own_dataset(run)
+    spec, name, own = run.spec, dataset.name, own_dataset(run)
     if own is not None and not _is_import(dataset) and own.recipe.environment != dataset.recipe.environment:
         again = (
             "import other recordings of it with 'dmbench data import'"
@@ -197,14 +197,14 @@ def beyond_bounds(dataset: Dataset, split: SplitName) -> tuple[int, int]:
 
 def training_is_here(run: Run) -> bool:
     """Whether the data set that the run was trained on is there, which alone says which episodes are new to it."""
-    return _own_dataset(run) is not None
+    return own_dataset(run) is not None
 
 
 def training_of(run: Run, dataset: Dataset) -> dict[str, Any] | None:
     """What a run was trained on, as its report on another data set says it; None on its own data set."""
     if dataset.fingerprint == run.spec.fingerprint:
         return None
-    said, own = {"name": run.spec.dataset, "fingerprint": run.spec.fingerprint}, _own_dataset(run)
+    said, own = {"name": run.spec.dataset, "fingerprint": run.spec.fingerprint}, own_dataset(run)
     differs = own is not None and own.recipe.environment != dataset.recipe.environment
     return said | ({"environment": own.recipe.environment} if own is not None and differs else {})
 
@@ -217,7 +217,7 @@ def transfer_remark(run: Run, dataset: Dataset, split: SplitName) -> str:
         dataset: The other data set, as ``transferable`` returns it.
         split: Whose episodes were scored.
     """
-    own = _own_dataset(run)
+    own = own_dataset(run)
     world = f" ({own.recipe.environment})" if own is not None and _is_import(dataset) else ""
     said = f"trained on {run.spec.dataset!r}{world}, and scored on {dataset.name!r}"
     if dataset.recipe.vary:
@@ -249,7 +249,7 @@ def _concatenated(dataset: Dataset, *splits: SplitName) -> Int[np.ndarray, " n"]
     return np.concatenate([dataset.split(name) for name in splits])
 
 
-def _own_dataset(run: Run) -> Dataset | None:
+def own_dataset(run: Run) -> Dataset | None:
     """The data set that the run was trained on, if it still exists unchanged."""
     try:
         dataset = Dataset.open(run.dataset_path)

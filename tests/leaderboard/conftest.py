@@ -6,6 +6,7 @@ They are of a Grid World of 50 short episodes, of which 5 are test episodes: as 
 from __future__ import annotations
 
 import copy
+import hashlib
 import json
 import shutil
 from collections.abc import Callable, Iterator
@@ -120,6 +121,11 @@ def controlled(entry: Entry, model: str, distance: float) -> Entry:
     return Entry(content)
 
 
+def weights_of(model: str, seed: int) -> str:
+    """The hash of a made-up training's weights."""
+    return hashlib.sha256(f"{model} {seed}".encode()).hexdigest()
+
+
 def figure_over(mean: float, n: int) -> dict[str, Any]:
     """A figure of control over some tasks."""
     return {"mean": mean, "std": 0.1, "low": mean - 0.05, "high": mean + 0.05, "n": n}
@@ -152,7 +158,7 @@ def _controlled_by_column(sound: Entry) -> Callable[..., Entry]:
             "model": model,
             "seed": seed,
             "run": f"{model}-grid-tiny-s{seed}",
-            "weights": f"{seed:064x}",
+            "weights": weights_of(model, seed),
             "labels": labels if isinstance(labels, dict) else {"asked": labels, "given": {}, "total": 4},
             "dataset": dataset,
             "settings": content["settings"]
@@ -183,7 +189,8 @@ def result(sound: Entry) -> Callable[..., Entry]:
         figure = {"mean": float(errors.mean()), "std": 1.0, "low": None, "high": None, "n": FRAMES * len(EPISODES)}
         sums = {"episode": EPISODES, "n": [FRAMES] * len(EPISODES), "sum": (errors * FRAMES).tolist()}
         told = labels if isinstance(labels, dict) else {"asked": labels, "given": {}, "total": 4}
-        made |= {"model": model, "seed": seed, "run": f"{model}-{told['asked']}-s{seed}", "weights": f"{seed:064x}"}
+        made |= {"model": model, "seed": seed, "run": f"{model}-{told['asked']}-s{seed}"}
+        made |= {"weights": weights_of(model, seed)}
         made |= {"figures": made["figures"] | {"mse": figure}, "by_episode": {"mse": sums}}
         made["labels"] = told
         return Entry(made | content)
@@ -209,6 +216,7 @@ def budgeted(sound: Entry) -> Callable[..., Entry]:
         made["figures"] |= {name: figure(mean) for name, mean in {"mse": error, **figures}.items()}
         made["reference"]["copy_last"] |= {name: figure(copying) for name in figures}
         made |= {"model": model, "seed": seed, "run": f"{model}-{labels}-s{seed}", "by_episode": {"mse": sums}}
+        made |= {"weights": weights_of(model, seed)}
         return Entry(made | {"labels": {"asked": labels, "given": {}, "total": total}})
 
     return entry

@@ -93,7 +93,7 @@ def planned(result: Callable[..., Entry]) -> Callable[..., Entry]:
 def test_what_different_planners_did_is_neither_averaged_nor_compared(
     planned: Callable[..., Entry], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("leaderboard.board.CONTROL_VERSION", 7)
+    monkeypatch.setattr("leaderboard.usual.CONTROL_VERSION", 7)
     entries = [
         planned("both", 0.9, "0.1.0+2140d529a1bd"),
         planned("both", 0.5, 7, seed=1),
@@ -152,7 +152,7 @@ def test_a_figure_measured_with_unusual_settings_is_left_out(
     changed: Callable[..., Entry], figure: str, settings: dict[str, Any]
 ) -> None:
     def of(name: str, mean: float, **other: Any) -> Entry:
-        content = dict(changed(run=name, model=name).content)
+        content = dict(changed(run=name, model=name, weights=name * 64).content)
         figures = dict(content["figures"]) | {figure: dict(content["figures"]["mse"]) | {"mean": mean}}
         return Entry(content | {"figures": figures, "settings": content["settings"] | {"gain_seed": 0} | other})
 
@@ -166,7 +166,7 @@ def test_a_figure_measured_with_unusual_settings_is_left_out(
 
 
 def test_an_oracle_of_another_planner_is_marked(planned: Callable[..., Entry], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("leaderboard.board.CONTROL_VERSION", 7)
+    monkeypatch.setattr("leaderboard.usual.CONTROL_VERSION", 7)
     present = planned("new", 0.5, 7)
     references = {name: one for name, one in present.content["reference"].items() if name != "oracle"}
     blind = Entry(dict(present.content) | {"reference": references})

@@ -20,6 +20,7 @@ from dmotion_bench.learning.runs.run import Conditions, Run
 from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.score import Scores, score_run
+from dmotion_bench.scoring.settings import METRICS
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.scoring.statistics import Estimate
 from dmotion_bench.workspace import Workspace
@@ -314,7 +315,7 @@ def test_figures_that_came_later_may_be_missing_and_are_held_to_what_they_are(
         mine = {name: one for name, one in figures.items() if not name.startswith("control")}
         later = {"probe_mlp[movers]": probe(0.001), "state_probe[agent_place]": probe(0.9)}
         check = Findings(entry=entry)
-        same_scores(check, Scores(samples=pa.table({}), figures=mine | later, reference={}))
+        same_scores(check, Scores(samples=pa.table({}), figures=mine | later, reference={}), METRICS)
         return check.wrong
 
     assert found(sound) == []

@@ -89,7 +89,7 @@ def test_forged_probes_are_found_by_scoring_anew(workspace: Workspace, sound: En
     def found(change: Callable[[list[float]], list[float] | None]) -> list[str]:
         stored = [row | {"state_probe_object_place": change(row["state_probe_object_place"] or [])} for row in rows]
         check = Findings(entry=sound)
-        same_samples(check, pa.Table.from_pylist(stored, SCHEMA), scored, 0.0)
+        same_samples(check, pa.Table.from_pylist(stored, SCHEMA), scored, 0.0, ())
         return check.wrong
 
     assert found(lambda own: own) == []

@@ -166,10 +166,10 @@ def test_a_training_on_other_tasks_is_not_averaged(
     assert board.control.rows[0].cells["generic"].left.mean == pytest.approx(left["dmotion", 0].mean())
 
 
-def test_a_trial_with_other_settings_is_not_in_the_table(
+def test_a_trial_with_other_settings_is_not_compared(
     controlled: MakeEntry, left: dict[tuple[str, int], np.ndarray]
 ) -> None:
-    """Planned with another seed, over a few tasks, or over more steps than a column has."""
+    """Planned with another seed or over more steps than a column has, it is left out; over a few tasks it is marked."""
     honest = [controlled(model, own, seed=seed) for (model, seed), own in left.items()]
     best = np.zeros(len(TASK_EPISODES))
     lucky = controlled("lucky", best)
@@ -183,7 +183,8 @@ def test_a_trial_with_other_settings_is_not_in_the_table(
     (board,) = make_boards([*honest, lucky, few, long])
 
     assert board.control is not None
-    assert [row.name for row in board.control.rows if row.entries] == ["dmotion", "ed-cnn"]
+    assert [row.name for row in board.control.compared if row.entries] == ["dmotion", "ed-cnn"]
+    assert [row.name for row in board.control.rows if row.extent] == ["few"]
     assert board.control.steps == 2
 
 

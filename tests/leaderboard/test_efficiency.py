@@ -159,8 +159,7 @@ def test_a_model_that_is_worse_than_copying_with_all_labels_needs_no_number(budg
 
 def test_a_label_curve_is_of_the_same_trainings_under_every_budget(budgeted: Callable[..., Entry]) -> None:
     def trained(labels: str, total: int, errors: dict[int, float]) -> list[Entry]:
-        made = [(seed, dict(budgeted("a", labels, total, error).content)) for seed, error in errors.items()]
-        return [Entry(one | {"seed": seed, "run": f"a-{labels}-s{seed}"}) for seed, one in made]
+        return [budgeted("a", labels, total, error, seed=seed) for seed, error in errors.items()]
 
     few, some = trained("4", 4, {0: 8.0, 1: 4.0}), trained("16", 16, {0: 3.0})
 

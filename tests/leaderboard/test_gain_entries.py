@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from pathlib import Path
+from typing import Any
 
 import pytest
 from known_model import Known, write_run
@@ -13,7 +14,7 @@ from dmotion_bench.scoring.figures import figures_of
 from dmotion_bench.scoring.gain import GainScoring
 from dmotion_bench.scoring.report import read_report, write_report
 from dmotion_bench.scoring.samples import read_samples
-from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.score import Scores, score_model, score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
@@ -97,11 +98,24 @@ def test_settings_that_cannot_be_are_a_finding(
 
 
 @pytest.mark.slow
-def test_the_gain_of_another_version_is_not_checked(measured: tuple[Workspace, Path], entry: Entry) -> None:
+def test_the_gain_of_another_version_is_not_checked(
+    measured: tuple[Workspace, Path], entry: Entry, monkeypatch: pytest.MonkeyPatch
+) -> None:
     content = copy.deepcopy(dict(entry.content))
     content["settings"]["gain_version"] = 7
 
-    verdict = check_entry(Entry(content), measured[0], CheckSettings(score=False))
+    asked = list[tuple[str, ...]]()
 
-    assert not verdict.holds
-    assert [one.startswith("version: the gain captured was measured by version 7") for one in verdict.missing] == [True]
+    def scored(*of: Any, metrics: tuple[str, ...], **how: Any) -> Scores:
+        asked.append(metrics)
+        return score_model(*of, metrics=metrics, **how)
+
+    monkeypatch.setattr("leaderboard.check.score_model", scored)
+    for settings in (CheckSettings(score=False), CheckSettings()):
+        verdict = check_entry(Entry(content), measured[0], settings)
+
+        assert not verdict.holds
+        assert verdict.findings == ()
+        (said,) = verdict.missing
+        assert said.startswith("version: the gain captured was measured by version 7")
+    assert asked == [()]

@@ -23,6 +23,9 @@ from leaderboard.markdown_numbers import TO
 from leaderboard.model_results import model_lines
 from leaderboard.page import make_page
 from leaderboard.results import filled, write_results
+from leaderboard.usual import OTHER_FRAMES
+
+from .conftest import weights_of
 
 EPISODES = 12
 CHOSEN = """
@@ -53,7 +56,8 @@ def result(sound: Entry) -> Callable[..., Entry]:
     """Makes an entry of which the error and the distance of control in each episode are given."""
 
     def make(model: str, errors: np.ndarray, distances: np.ndarray | None = None, **content: Any) -> Entry:
-        made = copy.deepcopy(dict(sound.content)) | {"model": model, "run": f"{model}-{content}", "weights": "0" * 64}
+        made = copy.deepcopy(dict(sound.content)) | {"model": model, "run": f"{model}-{content}"}
+        made["weights"] = weights_of(model, content.get("seed", 0))
         made["figures"], made["by_episode"] = {}, {}
         figures = {"mse": (errors, 7), "control_distance[50]": (distances, 2), "control_success": (distances, 2)}
         for name, (values, count) in figures.items():
@@ -121,13 +125,14 @@ def test_several_trainings_have_their_mean_its_interval_over_episodes_and_their_
     assert cells[4] == "14.3"
 
 
-def test_trainings_that_were_scored_on_other_samples_have_no_interval(
+def test_trainings_that_were_scored_on_other_samples_are_not_averaged(
     result: Callable[..., Entry], errors: list[np.ndarray]
 ) -> None:
     entries = [result("a", one, seed=seed, run=f"a-s{seed}") for seed, one in enumerate(errors)]
     entries[1].content["by_episode"]["mse"]["n"][0] += 1
-    (row,) = (row for row in make_boards(entries)[0].rows if row.kind == "measured")
-    assert row.figures["mse"].interval is None
+    rows = {row.variant: row for row in make_boards(entries)[0].rows if row.kind == "measured"}
+    assert [row.figures["mse"].seeds for row in rows.values()] == [1, 1]
+    assert rows[OTHER_FRAMES].apart
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import json
 import re
 import shutil
 from pathlib import Path
@@ -107,6 +108,28 @@ def test_a_sound_entry_holds(workspace: Workspace, transferred: Entry) -> None:
     assert verdict.holds  # a run that was scored elsewhere alone lacks nothing
 
 
+def test_labels_are_counted_again_where_the_data_set_of_the_training_is_here(
+    workspace: Workspace, transferred: Entry
+) -> None:
+    """The run says the same as its entry."""
+    manifest = json.loads((workspace.runs / RUN / "run.json").read_text())
+    manifest["result"] |= {"labels": {"demonstrations": 3}, "labels_total": 3}
+    (workspace.runs / RUN / "run.json").write_text(json.dumps(manifest))
+    content = copy.deepcopy(dict(transferred.content))
+    content["labels"] = {"asked": "one-shot", "given": {"demonstrations": 3}, "total": 3}
+
+    counted = check_entry(Entry(content), workspace)
+    shutil.rmtree(workspace.data / "grid_world-tiny" / "labels")
+    not_counted = check_entry(Entry(content), workspace)
+
+    assert counted.findings == (
+        "labels.given, by the budget one-shot and the data set: the entry says {'demonstrations': 3}, it is "
+        "{'demonstrations': 4}",
+    )
+    assert not_counted.findings == ()
+    assert "labels: 'grid_world-tiny' is here without them, so they were not counted again" in not_counted.remarks
+
+
 @pytest.mark.parametrize(
     ("trained_on", "said"),
     [
@@ -178,6 +201,7 @@ def test_an_entry_on_an_import_is_checked_against_it(workspace: Workspace, on_im
         samples=on_import.content["samples"]["rows"],
         weights=on_import.content["weights"],
         seed=on_import.content["seed"],
+        run=RUN,
     )
     content = copy.deepcopy(dict(on_import.content))
     del content["dataset"]["trained_on"]["environment"]

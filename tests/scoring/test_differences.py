@@ -108,7 +108,7 @@ def test_the_interval_of_a_difference_of_shares_covers_the_truth(
     for _ in range(trials):
         kind = generator.choice(3, tasks, p=[only_first, only_second, 1 - only_first - only_second])
         first, second = ((kind == which).astype(float)[None] for which in (0, 1))
-        found = difference_over_trainings(first, second, np.ones(tasks), resamples=400).of_shares_apart()
+        found = difference_over_trainings(first, second, np.ones(tasks), resamples=400).within(-1, 1)
         assert found.low is not None
         assert found.high is not None
         inside += found.low <= only_first - only_second <= found.high

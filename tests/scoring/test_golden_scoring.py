@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 from golden.scoring import ADVICE, RECIPES, WITHOUT_ACTIONS, figures, record, stored
 
+from dmotion_bench.scoring.figures import SHARES, base_of
 from dmotion_bench.scoring.report import SCORING_VERSION
 from dmotion_bench.storage.dataset import Dataset
 
@@ -32,8 +33,13 @@ def test_every_figure_is_that_of_the_version(recorded: dict[str, Dataset], name:
     assert {who: list(own) for who, own in found.items()} == {who: list(own) for who, own in wanted.items()}
     for who, own in wanted.items():
         for figure, parts in own.items():
+            said = dict(found[who][figure])
+            if parts["std"] == 0 and parts["low"] == parts["high"] is not None and base_of(figure) in SHARES:
+                assert said["low"] <= said["mean"] <= said["high"]  # has had a width since
+                assert said["low"] < said["high"]
+                said |= {"low": parts["low"], "high": parts["high"]}
             near = {
                 part: one if one is None else pytest.approx(one, rel=ROUNDING, abs=ROUNDING / 10)
                 for part, one in parts.items()
             }
-            assert found[who][figure] == near, f"{figure} of {who} has changed. {ADVICE}"
+            assert said == near, f"{figure} of {who} has changed. {ADVICE}"

@@ -68,11 +68,21 @@ def test_a_share_that_is_all_alike_has_an_interval_with_a_width(share: float) ->
     assert few is not None
     assert other is not None
     assert alike.low == alike.high == share
-    bounds = (alike.of_share().low, alike.of_share().high)
+    bounds = (alike.within(0, 1).low, alike.within(0, 1).high)
     assert bounds == pytest.approx(wilson(share, 10))  # episodes, not tasks
     assert share in bounds
-    assert (few.of_share().low, few.of_share().high) == (None, None)
-    assert other.of_share() == other
+    assert (few.within(0, 1).low, few.within(0, 1).high) == (None, None)
+    assert other.within(0, 1) == other
+
+
+def test_shares_between_0_and_1_that_are_all_alike_may_be_anything_where_nobody_looked() -> None:
+    """Of frames that all lack one of two objects: others may lack both, or none."""
+    alike = EpisodeBootstrap(np.arange(20) // 2).mean(np.full(20, 0.5))
+    assert alike is not None
+
+    found, others = alike.within(0, 1), wilson(0.0, 10)[1]
+
+    assert (found.low, found.high) == pytest.approx((0.5 - others / 2, 0.5 + others / 2))
 
 
 def test_the_order_of_the_samples_changes_no_interval() -> None:

@@ -21,9 +21,11 @@ import numpy as np
 import pyarrow as pa
 import torch
 
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.environment import HasScript
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.settings import require_use
 from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, make_reference
 from dmotion_bench.planning.choices import (
     DEFAULT_SOLVER,
@@ -128,6 +130,20 @@ class ControlScoring:
         for name, value in frozen.items():
             object.__setattr__(self, name, value)
 
+    def require_use(self, actions: ActionSpec | None) -> None:
+        """Refuse settings that do nothing with the actions of an environment, except a column's, which are frozen.
+
+        A stored report may hold some, so it is not asked for one.
+
+        Raises:
+            InvalidSetting: One is for the other kind of action.
+        """
+        if self.column is not None:
+            return
+        require_use(make_solver(self.planner, self.planner_set), actions, "--planner-set")
+        if self.objective is not None:
+            require_use(make_objective(self.objective, self.objective_set), actions, "--objective-set")
+
     def planned_with(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> tuple[str, Objective]:
         """The objective's name, and the objective.
 
@@ -228,6 +244,7 @@ def score_reference(
         UnknownName: There is no such reference; else as ``score_control``.
     """
     scoring = scoring or ControlScoring()
+    scoring.require_use(dataset.spec.actions)
     kept = kept_by_reference(name, dataset, scoring)
     return score_control(name, dataset, scoring, progress=progress, checkpoint=kept, problems=problems)
 

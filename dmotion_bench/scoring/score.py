@@ -211,6 +211,7 @@ def score_run(
         DatasetMissing: The other one is an import, and the data set of the training is not there.
         LabelsNotAvailable: Nothing says what the actions do in the model; or as ``score_model`` raises it.
         DatasetError, LabelsNotAvailable: Control is asked for where it cannot be scored.
+        InvalidSetting: A setting of the planner does nothing with the environment's actions.
         UsageError: The run's number of threads is not allowed here.
         FolderInUse: Another process scores the run.
     """
@@ -233,6 +234,7 @@ def score_run(
         require_gain(dataset, settings.split, settings.gain)
     if "control" in metrics:
         require_tasks(dataset)  # said before the work, not after it
+        settings.control.require_use(dataset.spec.actions)
     if dataset.spec.actions is None:
         metrics = ("prediction",)
     folder.mkdir(parents=True, exist_ok=True)

@@ -56,13 +56,13 @@ def alone(both: PlanContext, place: int, memory: Any = None) -> PlanContext:
 TWO = seen([(0.2, 0.2), (0.7, 0.3)], [(0.5, 0.53), (0.3, 0.5)])
 
 
-def plan_of(name: str, given: PlanContext, objective: Any = None) -> Any:
+def plan_of(name: str, given: PlanContext, objective: Any = None, settings: list[str] | None = None) -> Any:
     fresh = replace(
         given, generators=tuple(np.random.default_rng([3, int(one.integers(9))]) for one in given.generators)
     )
     dynamics = ModelDynamics(Blob(), bf16=False)
     evaluator = (objective or Feature()).reset(FACTS, given.observation.current, given.observation.goals)
-    return make_solver(name).plan(dynamics, evaluator, fresh)
+    return make_solver(name, settings or []).plan(dynamics, evaluator, fresh)
 
 
 def generators(*names: int) -> tuple[np.random.Generator, ...]:

@@ -21,10 +21,10 @@ from dmotion_bench.planning.choices import DEFAULT_SOLVER
 from dmotion_bench.planning.columns import COLUMNS, Column
 from dmotion_bench.planning.mpc import GROUP, STEPS, ControlProgress
 from dmotion_bench.scoring.control import ControlScoring, control_samples
-from dmotion_bench.scoring.control import score_reference as control_of_reference
 from dmotion_bench.scoring.differences import behind, standing_words
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
+from dmotion_bench.scoring.reference_control import score_reference as control_of_reference
 from dmotion_bench.scoring.report import Report, read_report_samples, why_no_interval
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import METRICS, Metric, ScoreSettings

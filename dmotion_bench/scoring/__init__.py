@@ -28,7 +28,8 @@
     gain.py              what the action sequence that a model prefers truly brings
     kept_gain.py         what truly can be gained, kept in the data set's cache
     control.py           how near a model and a planner bring the objects to their goals
-    reference_job.py     control by a reference as a job of its own
+    reference_control.py control by the references, and its samples beside a model's
+    reference_job.py     the same as jobs, a group of tasks each
     kept_control.py      where control is kept, and what it belongs to
     earlier_planning.py  what earlier reports say of planning, in the words of today
     tiers.py             which figures need more than an environment tells

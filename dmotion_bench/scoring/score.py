@@ -22,7 +22,7 @@ from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import column_named, require_fitting_tasks, words_of_test
 from dmotion_bench.planning.contract import using
 from dmotion_bench.planning.dynamics.model import arithmetic_on
-from dmotion_bench.scoring.control import control_tables, require_tasks
+from dmotion_bench.scoring.control import require_tasks
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
@@ -39,6 +39,7 @@ from dmotion_bench.scoring.prediction import (
     score_rollouts,
     score_steps,
 )
+from dmotion_bench.scoring.reference_control import control_tables
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
     CONTRACT,

@@ -242,7 +242,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def _look(self) -> UInt8[np.ndarray, "h w 3"]:
         """What is drawn now, in the size of the frames."""
-        picture: Any = self._inner.render()
+        with self._named("render"):
+            picture: Any = self._inner.render()
         if not (
             isinstance(picture, np.ndarray)
             and picture.dtype == np.uint8
@@ -284,10 +285,15 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     @contextlib.contextmanager
     def _guarded(self, what: str) -> Iterator[None]:
-        """Turn what the simulator raises into a sentence."""
+        """Quietly and with random numbers of the simulator's own; what it raises becomes a sentence."""
+        with self._named(what), quiet(), self._legacy.lent():
+            yield
+
+    @contextlib.contextmanager
+    def _named(self, what: str) -> Iterator[None]:
+        """Turn what a method of the simulator raises into a sentence."""
         try:
-            with quiet(), self._legacy.lent():
-                yield
+            yield
         except (DmbenchError, MemoryError):
             raise
         except (Exception, SystemExit) as error:

@@ -14,8 +14,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from dmotion_bench.actions import require_discrete
-from dmotion_bench.errors import PlannerContractBroken
+from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
 from dmotion_bench.planning.solvers.search import Search
@@ -76,7 +76,12 @@ class PrefixTree(Search):
 
     def __init__(self, dynamics: Dynamics, evaluator: Evaluator, observation: Observation, horizon: int) -> None:
         self.dynamics, self.horizon, self.frames = dynamics, horizon, 0
-        self.actions = len(require_discrete(dynamics.actions, "sharing the beginnings of sequences"))
+        if not isinstance(dynamics.actions, Discrete):
+            raise InvalidSetting(
+                f"the planner needs discrete actions, and these are continuous: {dynamics.actions}; take a data set "
+                "with discrete actions, or another planner: '--planner icem'."
+            )
+        self.actions = len(dynamics.actions)
         self._evaluator = evaluator
         with torch.inference_mode():
             carried = evaluator.begin(dynamics)

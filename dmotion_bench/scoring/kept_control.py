@@ -40,8 +40,10 @@ def journal_of(
     extent = Extent(actions=known_actions(dataset.spec), tasks=len(dataset.tasks()), steps=scoring.steps)
     shares = [] if path is None else shares_of(path)
     journal = Journal(path, key, extent, earlier=_earlier_keys(key, scoring))
-    for place in (*shares, path) if shares else ():
-        journal.take_over(place)  # at last the file again: another process may have gathered the shares meanwhile
+    for share in shares:
+        journal.take_over(share)
+    if path is not None and shares:
+        journal.take_over(path)  # again: another process may have gathered the shares in it meanwhile
     return journal
 
 

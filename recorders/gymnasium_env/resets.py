@@ -40,7 +40,7 @@ def is_first(info: Any) -> bool:
     """
     with contextlib.suppress(Exception):  # whatever somebody else keeps there
         for told in info.values() if isinstance(info, Mapping) else ():
-            kinds = [getattr(told, name, None) for name in ("first", "mid", "last")]
+            kinds: list[Any] = [getattr(told, name, None) for name in ("first", "mid", "last")]
             if all(map(callable, kinds)) and [kind() for kind in kinds] == [True, False, False]:
                 return True
     return False

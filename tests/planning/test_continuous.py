@@ -26,6 +26,7 @@ from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.solvers.base import PlanContext
 from dmotion_bench.planning.solvers.mppi import PathIntegral
 from dmotion_bench.planning.solvers.proposals import Gaussian, coloured
+from dmotion_bench.planning.solvers.rollouts import Rollouts
 
 SOLVERS = ("cem", "icem", "mppi", "random-shooting", "gradient")
 GOOD = {"cem": 0.05, "icem": 0.05, "mppi": 0.1, "random-shooting": 0.2, "gradient": 0.05}
@@ -218,6 +219,15 @@ def test_solvers_of_continuous_actions_refuse_discrete_ones(name: str) -> None:
         InvalidSetting, match=r"the planner needs discrete actions, and these are continuous.*or another planner"
     ):
         plan_of("exhaustive", TWO)
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 4, 1), (2, 3, 4, 4), (2, 3, 4), (2, 0, 4, 2), (1, 3, 4, 2)])
+def test_sequences_of_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
+    evaluator = Feature().reset(FACTS, TWO.observation.current, TWO.observation.goals)
+    rollouts = Rollouts(ModelDynamics(Blob(), bf16=False), evaluator, TWO.observation)
+    said = r"they must be a NumPy array of the shape \(2, sequences, steps, 2\), of floating-point numbers"
+    with pytest.raises(PlannerContractBroken, match=said):
+        rollouts.stacked_costs(np.zeros(shape))
 
 
 def test_random_shooting_draws_discrete_actions_too() -> None:

@@ -8,6 +8,7 @@ whose edges are actions; a node is imagined when a sequence first goes through i
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
@@ -18,7 +19,7 @@ from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
-from dmotion_bench.planning.solvers.search import Search
+from dmotion_bench.planning.solvers.search import Search, require_sequences
 
 
 @dataclass(kw_only=True)
@@ -91,15 +92,17 @@ class PrefixTree(Search):
         tasks = np.arange(len(observation.current))
         nothing = np.full((len(tasks), 1 + len(PARTS)), np.nan)
         root = _Level(key=tasks, task=tasks, cost=nothing, chunks=[(*start, *carried)], starts=[0])
+        self._tasks = len(tasks)
         self._levels = [root] + [
             _Level(key=np.zeros(0, np.int64), task=np.zeros(0, np.int64), cost=nothing[:0]) for _ in range(horizon)
         ]
 
-    def stacked_costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t 4"]:
+    def stacked_costs(self, sequences: Any) -> Float[np.ndarray, "b s t 4"]:
         """See ``Search``."""
+        require_sequences(sequences, self.dynamics.actions, self._tasks)
         if sequences.shape[2] > self.horizon:
             raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
-        if sequences.size and not 0 <= sequences.min() <= sequences.max() < self.actions:
+        if not 0 <= sequences.min() <= sequences.max() < self.actions:
             tried, known = f"{sequences.min()} to {sequences.max()}", f"0 to {self.actions - 1}"
             raise PlannerContractBroken(f"the solver tries the actions {tried}; there are {known}.")
         node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])

@@ -11,7 +11,7 @@ import pyarrow.compute as pc
 
 from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.planning.agents import NO_ACTION
-from dmotion_bench.scoring.control import QUICK
+from dmotion_bench.scoring.reference_control import QUICK
 from dmotion_bench.scoring.samples import column, vectors
 from dmotion_bench.scoring.standing import samples_of
 

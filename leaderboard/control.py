@@ -28,9 +28,10 @@ from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress, Control
 from dmotion_bench.planning.objectives.base import Taken
 from dmotion_bench.planning.solvers.base import PlanContext
 from dmotion_bench.planning.tasks import Problem, World, load_problems, task_environment
-from dmotion_bench.scoring.control import QUICK, ControlScoring, agent_of, control_samples, score_control
+from dmotion_bench.scoring.control import ControlScoring, agent_of, control_samples, score_control
 from dmotion_bench.scoring.earlier_planning import present_planning, present_settings
 from dmotion_bench.scoring.prediction import MODEL, Execution
+from dmotion_bench.scoring.reference_control import QUICK
 from dmotion_bench.scoring.samples import column, vectors
 from dmotion_bench.scoring.standing import samples_of
 from dmotion_bench.storage.dataset import Dataset

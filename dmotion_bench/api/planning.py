@@ -108,7 +108,7 @@ def plan(
     Raises:
         RunMissing, UnknownName: There is no such run, task, planner or objective.
         UsageError: The data set was imported, so nobody can act in it; ``save`` is no such file; a number is out of its
-            bounds; or a column and a planner are named.
+            bounds; a column and a planner are named; or a setting does nothing with the environment's actions.
         DatasetError: The data set stores no tasks.
 
     Example:
@@ -289,6 +289,7 @@ def open_trial(
         model = opened.model
     if dataset.recipe.environment == IMPORTED:
         raise UsageError(f"{dataset.name!r} was imported, so there is no environment to plan and act in.")
+    chosen.require_use(dataset.spec.actions)
     (problem,) = load_problems(dataset, [task])
     agent = agent_of(model or who, dataset, chosen)
     return Trial(who=who, model=model, dataset=dataset, problem=problem, chosen=chosen, agent=agent)

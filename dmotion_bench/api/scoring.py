@@ -12,19 +12,20 @@ import torch
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of, whole
-from dmotion_bench.errors import DmbenchError, RunMismatch, StorageFull, UsageError
+from dmotion_bench.errors import DmbenchError, RunMismatch, StorageFull, UnknownName, UsageError
 from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.hardware.threads import scoring_shortage
 from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.planning.agents import REFERENCES
 from dmotion_bench.planning.choices import DEFAULT_SOLVER
 from dmotion_bench.planning.columns import COLUMNS, Column
 from dmotion_bench.planning.mpc import GROUP, STEPS, ControlProgress
 from dmotion_bench.scoring.control import ControlScoring, control_samples
-from dmotion_bench.scoring.control import score_reference as control_of_reference
 from dmotion_bench.scoring.differences import behind, standing_words
 from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.prediction import Execution, Precision
+from dmotion_bench.scoring.reference_control import score_reference as control_of_reference
 from dmotion_bench.scoring.report import Report, read_report_samples, why_no_interval
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import METRICS, Metric, ScoreSettings
@@ -126,7 +127,15 @@ def score(
     asked = None if metrics is None else as_metrics([metrics] if isinstance(metrics, str) else metrics)
     of_control = {"planner": planner, "planner_settings": planner_settings, "objective": objective, "tasks": tasks}
     require_control(asked, column, of_control)
-    path = place.run(run)
+    try:
+        path = place.run(run)
+    except UnknownName:
+        if str(run) in REFERENCES:
+            raise UsageError(
+                f"{str(run)!r} is a reference for control; score it with 'dmbench score {run} --metrics control', or "
+                f"let it work on a task with dm.plan({str(run)!r})."
+            ) from None
+        raise
     reports, _ = score_runs(
         [path],
         asked,

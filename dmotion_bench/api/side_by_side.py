@@ -1,10 +1,10 @@
-"""Many trainings or scorings: in turn, or several at a time by an executor."""
+"""Many trainings or scorings, or the tasks of a reference: in turn, or several at a time by an executor."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,7 +16,8 @@ from dmotion_bench.api.contract import (
     train_rows_explained,
     with_breach,
 )
-from dmotion_bench.api.scoring import changed_code, compute_device, names_apart
+from dmotion_bench.api.progress import Progress
+from dmotion_bench.api.scoring import changed_code, compute_device, names_apart, score_references
 from dmotion_bench.errors import RunError
 from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.executor import JobSize
@@ -27,6 +28,10 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, resolve
 from dmotion_bench.learning.training.beginning import tell_changes
 from dmotion_bench.learning.training.table import Outcome, Row, job_of, rows, train_side_by_side, train_table
+from dmotion_bench.scoring.control import ControlScoring
+from dmotion_bench.scoring.figures import Figures
+from dmotion_bench.scoring.reference_control import is_kept
+from dmotion_bench.scoring.reference_job import reference_jobs, score_reference_job
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import scored_report
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
@@ -318,3 +323,43 @@ def score_at_once(
                     failures[path] = outcome.error
                     note(f"{names[path]}: {outcome.error}")
     return {path: reports[path] for path in paths if path in reports}, failures
+
+
+def score_references_at_once(
+    names: Sequence[str],
+    data: Path,
+    scoring: ControlScoring,
+    workspace: Workspace,
+    hands: Hands,
+    progress: Progress = None,
+) -> dict[str, Figures]:
+    """Score references by an executor, which shares groups of their tasks; in turn where that does not pay.
+
+    Args:
+        names, data, scoring: See ``scoring.score_references``.
+        workspace: Where the jobs meet.
+        hands: Who scores.
+        progress: Told how far they are where they are scored in turn.
+
+    Returns:
+        See ``scoring.score_references``.
+
+    Raises:
+        JobsLost: The workers at some jobs were killed again and again; else as ``scoring.score_references``.
+    """
+    dataset = Dataset.open(data)
+    every = [job for name in dict.fromkeys(names) for job in reference_jobs(name, dataset, scoring)]
+    jobs = [job for job in every if not is_kept(job.name, dataset, scoring, job.tasks)]
+    if jobs and not hands.in_turn(len(jobs)):
+        with jobs_folder(workspace) as folder:
+            name = hands.executor or "local"
+            executor = make_executor(name, hands.at_once(len(jobs)), scratch=folder / name, size=hands.job_size())
+            hands.count(0, len(jobs))
+            told = [replace(job, progress=folder / f"{number}.json") for number, job in enumerate(jobs)]
+            results = executor.map_unordered(score_reference_job, told)
+            with watching(folder, hands.watch), contextlib.closing(results):
+                for done, (_, failure) in enumerate(results, start=1):
+                    if failure is not None:
+                        raise failure
+                    hands.count(done, len(jobs))
+    return score_references(names, data, scoring, progress)  # what was shared is gathered

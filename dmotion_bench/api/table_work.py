@@ -23,7 +23,7 @@ from dmotion_bench.reproduction.plan import Plan, Training
 from dmotion_bench.reproduction.settled import INDEX, Page, has_figures, is_of, state_of
 from dmotion_bench.reproduction.table import Column
 from dmotion_bench.scoring.control import ControlScoring
-from dmotion_bench.scoring.reference_job import ReferenceJob, score_reference_job
+from dmotion_bench.scoring.reference_job import reference_jobs, score_reference_job
 from dmotion_bench.storage.dataset import Dataset
 
 _LOG = logging.getLogger(__name__)
@@ -174,19 +174,17 @@ class TableWork:
         """Score a reference on some data sets; the folders of those on which it failed."""
         part = f"control by {name} for {column.name}"
         lacking: set[Path] = set()
-        with self._executing(len(places)) as (executor, folder):
-            jobs = [
-                ReferenceJob(name=name, data=data.absolute(), scoring=scoring, progress=folder / f"{number}.json")
-                for number, (data, scoring) in enumerate(places)
-            ]
+        shared = [job for data, scoring in places for job in reference_jobs(name, Dataset.open(data), scoring)]
+        with self._executing(len(shared)) as (executor, folder):
+            jobs = [replace(job, progress=folder / f"{number}.json") for number, job in enumerate(shared)]
             self.watch.count(part, 0, len(jobs))
             results = executor.map_unordered(score_reference_job, jobs)
             with watching(folder, self.watch.jobs), contextlib.closing(results):
                 try:
                     for done, (data, failure) in enumerate(results, start=1):
                         self.watch.count(part, done, len(jobs))
-                        if failure:
-                            self._note_failure(part, failure)
+                        if failure is not None and data not in lacking:
+                            self._note_failure(part, str(failure))
                             lacking.add(data)
                 except JobsLost as lost:
                     self._note_failure(part, str(lost))

@@ -26,6 +26,7 @@ from dmotion_bench.cli.stdout import print_json, say
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.control import ControlScoring
+    from dmotion_bench.scoring.figures import Figures
     from dmotion_bench.scoring.report import Report
     from dmotion_bench.scoring.settings import Metric, ScoreSettings
     from dmotion_bench.workspace import Workspace
@@ -98,8 +99,8 @@ def score(
     workers: Annotated[
         int | None,
         workers_option(
-            "How many jobs run at a time; they share the runs and, of control, groups of tasks. Default: with "
-            "--all as many as there are processors and memory for, else one."
+            "How many jobs run at a time; they share the runs and, of control, also by a reference, groups of tasks. "
+            "Default: with --all as many as there are processors and memory for, else one."
         ),
     ] = None,
     executor: Annotated[
@@ -129,13 +130,13 @@ def score(
             )
         if asked != ("control",) and (asked is not None or column is None):
             raise UsageError(f"{named[0]} is a reference for control; score it with '--metrics control'.")
-        if given := [option for option, value in (("--workers", workers), ("--executor", executor)) if value]:
-            raise UsageError(f"one process scores a reference; leave out {' and '.join(given)}.")
         sources = {name: context.get_parameter_source(name) for name in _OF_MODELS}
         if typed := [name for name, source in sources.items() if source is not None and source.name == "COMMANDLINE"]:
             options = " and ".join(f"--{name.replace('_', '-')}" for name in typed)
             raise UsageError(f"a reference works on the tasks without a model's predictions; leave out {options}.")
-        _references([str(one) for one in named], workspace.dataset(data), control, as_json=as_json)
+        path = workspace.dataset(data)
+        found = _references([str(one) for one in named], path, control, workspace, executor, workers)
+        _show_references(found, path, control, as_json=as_json)
         return
     of_control = {"--planner": planner, "--planner-set": planner_set, "--objective": objective, "--tasks": tasks}
     require_control(asked, column, of_control)
@@ -203,15 +204,30 @@ def _scored(
         return score_runs(paths, metrics, settings, device=device, keep=every, progress=bar, **how)
 
 
-def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_json: bool) -> None:
-    """Score references for control; what they did stays in the data set's cache."""
-    from dmotion_bench.api.scoring import score_references
+def _references(
+    names: list[str],
+    path: Path,
+    scoring: ControlScoring,
+    workspace: Workspace,
+    executor: str | None,
+    workers: int | None,
+) -> dict[str, Figures]:
+    """Score references for control, in turn or by an executor; what they did stays in the data set's cache."""
+    from dmotion_bench.api.side_by_side import Hands, score_references_at_once
+    from dmotion_bench.cli.jobs import jobs_bar
     from dmotion_bench.cli.progress import BarOnDemand
+
+    if executor is None and workers is None:
+        workers = 1
+    with BarOnDemand() as bar, jobs_bar("scoring") as (count, watch):
+        hands = Hands(executor=executor, workers=workers, device="cpu", count=count, watch=watch)
+        return score_references_at_once(names, path, scoring, workspace, hands, bar)
+
+
+def _show_references(found: dict[str, Figures], path: Path, scoring: ControlScoring, *, as_json: bool) -> None:
     from dmotion_bench.cli.report_table import show_control
     from dmotion_bench.storage.dataset import Dataset
 
-    with BarOnDemand() as bar:
-        found = score_references(names, path, scoring, bar)
     figures = {name: {figure: value.to_json() for figure, value in own.items()} for name, own in found.items()}
     dataset = Dataset.open(path).name
     if as_json:
@@ -222,7 +238,7 @@ def _references(names: list[str], path: Path, scoring: ControlScoring, *, as_jso
             "seed": scoring.seed,
             "reference": {},
         }
-        reports = [{"run": name, "model": name, **plain, "figures": figures[name]} for name in names]
+        reports = [{"run": name, "model": name, **plain, "figures": own} for name, own in figures.items()]
         print_json({"reports": reports})
     else:
         show_control(figures, f"control on {dataset}")

@@ -12,12 +12,14 @@ import typing
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NoReturn, TypeVar
 
+from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.storage.json_file import parse_json
 from dmotion_bench.values import parse_value
 
 ConfigT = TypeVar("ConfigT")
 _NEEDS: Final = "needs"
+_ACTIONS: Final = "actions"
 
 
 def only_with(default: Any, needed: str, holds: Callable[[Any], bool]) -> Any:
@@ -31,6 +33,18 @@ def only_with(default: Any, needed: str, holds: Callable[[Any], bool]) -> Any:
         holds: Whether a config has that.
     """
     return dataclasses.field(default=default, metadata={_NEEDS: (needed, holds)})
+
+
+def only_for(default: Any, kind: type[Discrete] | type[Continuous]) -> Any:
+    """The default of a field that does something with one kind of action alone; ``require_use`` refuses it else.
+
+    A stored report may hold any value of it, as with ``only_with``.
+
+    Args:
+        default: Of the field.
+        kind: Of the actions.
+    """
+    return dataclasses.field(default=default, metadata={_ACTIONS: kind})
 
 
 def _types(kind: type) -> dict[str, Any]:
@@ -100,6 +114,27 @@ def _require_use(before: Any, config: Any, change: Mapping[str, Any], option: st
             raise InvalidSetting(
                 f"{option} {field.name}={change[field.name]} does nothing without {needed}; leave it out, or ask for "
                 "that, too."
+            )
+
+
+def require_use(config: Any, actions: ActionSpec | None, option: str) -> None:
+    """Refuse a config that holds another value than the usual one where it does nothing with these actions.
+
+    Args:
+        config: Of which some fields are for one kind of action alone (``only_for``).
+        actions: What can be done; None where that is not known, so that nothing is refused.
+        option: Of the command line that the config was made with.
+
+    Raises:
+        InvalidSetting: A field is for the other kind of action.
+    """
+    for field in dataclasses.fields(config):
+        kind, value = field.metadata.get(_ACTIONS, object), getattr(config, field.name)
+        if actions is not None and not isinstance(actions, kind) and value != field.default:
+            wanted, found = ("continuous", "discrete") if kind is Continuous else ("discrete", "continuous")
+            raise InvalidSetting(
+                f"{option} {field.name}={value} does something with {wanted} actions alone, and these are {found}; "
+                "leave it out."
             )
 
 

@@ -177,6 +177,10 @@ class Journal:
         """A journal that keeps nothing."""
         return cls(None, {}, Extent(actions=Discrete.numbered(1), tasks=0, steps=0))
 
+    def reached(self, number: int) -> int:
+        """How many actions of a task are kept."""
+        return len(self._records.get(number, TaskRecord()).actions)
+
     def all_records(self, problems: Sequence[Problem]) -> dict[int, TaskRecord]:
         """The records of some tasks; empty ones for tasks that have not begun."""
         return {problem.number: self._records.get(problem.number, TaskRecord()) for problem in problems}
@@ -209,7 +213,7 @@ class Journal:
             content = {
                 "format": FORMAT,
                 "key": self._key,
-                "tasks": {str(number): asdict(record) for number, record in self._records.items()},
+                "tasks": {str(number): asdict(self._records[number]) for number in sorted(self._records)},
                 "memory": {str(number): own for number, own in self._memory.items()},
             }
             write_atomically(self._path, json.dumps(content | {"crc32": _checksum(content)}).encode())

@@ -19,16 +19,16 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import StrEnum
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from jaxtyping import Float, Int, UInt8
 
 from dmotion_bench.actions import ActionTaken, as_actions, given
 from dmotion_bench.environment import Environment, Judging, ObjectEnvironment, SetsGoal, TaskMeasure
-from dmotion_bench.errors import DatasetError, DmbenchError, UnknownName
+from dmotion_bench.errors import DatasetError, DmbenchError, RecordingFailed, UnknownName
 from dmotion_bench.recording.failures import guarded
-from dmotion_bench.recording.rollout import make_environment
+from dmotion_bench.recording.rollout import make_environment, require_picture
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, ObjectStates, delay_of
 from dmotion_bench.storage.manifest import setting_words
@@ -108,8 +108,19 @@ def _positions(env: Environment) -> Float[np.ndarray, "k 3"]:
     """Of the objects [m]; whoever judges by objects has asked whether the environment tells them (``judge_of``).
 
     It is not asked again here, because ``isinstance`` with a protocol takes longer than the objects do.
+
+    Raises:
+        RecordingFailed: It tells the positions of other objects than its facts name, or none.
     """
-    return cast(ObjectEnvironment, env).objects().position
+    told: Any = cast(ObjectEnvironment, env).objects()
+    wanted = (len(env.facts.objects), 3)
+    if not isinstance(told, ObjectStates) or np.shape(told.position) != wanted:
+        found = np.shape(told.position) if isinstance(told, ObjectStates) else type(told).__name__
+        raise RecordingFailed(
+            f"the environment {env.facts.id!r} tells {found} where its objects are, in a control task; 'objects' must "
+            f"return a dmotion_bench.specs.ObjectStates with positions of the shape {wanted}."
+        )
+    return told.position
 
 
 class PictureDistance:
@@ -161,9 +172,11 @@ def judged_distance(measure: TaskMeasure, env: Environment, problem: Problem) ->
     """How far an environment is from a problem's goal: 1 at the start, 0 at the goal.
 
     Raises:
+        RecordingFailed: The environment raises something when it is asked.
         DmbenchError: It is no finite number, which a mean over tasks would leave out.
     """
-    distance = measure.distance(env)
+    with asking(env, problem):
+        distance = float(measure.distance(env))
     if not math.isfinite(distance):
         raise DmbenchError(
             f"the environment {env.facts.id!r} judges task {problem.number} to be {distance} away from its goal; a "
@@ -244,9 +257,14 @@ def _with_own_goals(recipe: DatasetRecipe, problems: list[Problem]) -> list[Prob
 
 
 def _with_own_goal(env: Environment, problem: Problem) -> Problem:
-    env.reset(seed=problem.seed, options=_options(problem))
-    goal = env.task_goal() if isinstance(env, SetsGoal) else None
-    return problem if goal is None else replace(problem, goal_frame=goal[0], goal_objects=goal[1])
+    start(env, replace(problem, opening=problem.opening[:0]))
+    with _guarded(env, "'task_goal'", lambda: f"for task {problem.number}"):
+        goal = env.task_goal() if isinstance(env, SetsGoal) else None
+        if goal is None:
+            return problem
+        picture, objects = goal
+    require_picture(env.facts, picture)
+    return replace(problem, goal_frame=picture, goal_objects=objects)
 
 
 def _options(problem: Problem) -> dict[str, list[str]] | None:
@@ -296,7 +314,8 @@ class World:
         self.env, self.problem = env, problem
         self.actions: list[ActionTaken] = []
         self.frame = start(env, problem)
-        self._measure = measure_of(env, problem)
+        with asking(env, problem):
+            self._measure = measure_of(env, problem)
         if not np.array_equal(self.frame, problem.start_frame):
             raise DatasetError(
                 f"task {problem.number} starts at another picture than the recorded one: the simulator of this machine "
@@ -316,14 +335,20 @@ class World:
 
     @property
     def lost(self) -> int:
-        """Objects that are gone."""
-        return self._measure.lost(self.env)
+        """Objects that are gone; errors as of ``judged_distance``."""
+        with asking(self.env, self.problem):
+            return int(self._measure.lost(self.env))
 
 
 def start(env: Environment, problem: Problem, actions: Sequence[ActionTaken] = ()) -> UInt8[np.ndarray, "h w 3"]:
-    """Bring an environment to a problem's start and take some more actions; returns the image there."""
+    """Bring an environment to a problem's start and take some more actions; returns the image there.
+
+    Raises:
+        RecordingFailed: As ``take``.
+    """
     with _guarded(env, "'reset'", lambda: f"at the start of task {problem.number}"):
         frame: UInt8[np.ndarray, "h w 3"] = env.reset(seed=problem.seed, options=_options(problem))[0]
+    require_picture(env.facts, frame)
     for action in (*as_actions(problem.opening), *actions):
         frame = take(env, action)
     return frame
@@ -333,10 +358,22 @@ def take(env: Environment, action: ActionTaken) -> UInt8[np.ndarray, "h w 3"]:
     """Take an action; returns the image after it.
 
     Raises:
-        RecordingFailed: The environment raises something; a task may go on beyond the end of its episode.
+        RecordingFailed: The environment raises something, or draws no picture as its facts say; a task may go on beyond
+            the end of its episode.
     """
     with _guarded(env, "'step'", lambda: f"in a control task, at the action {action}"):
-        return env.step(given(action))[0]
+        frame: UInt8[np.ndarray, "h w 3"] = env.step(given(action))[0]
+    require_picture(env.facts, frame)
+    return frame
+
+
+def asking(env: Environment, problem: Problem) -> contextlib.AbstractContextManager[None]:
+    """Turn what an environment raises when it is asked about its state into a sentence.
+
+    Raises:
+        RecordingFailed: It raises something else than a ``DmbenchError``.
+    """
+    return _guarded(env, "what it tells of its state", lambda: f"in control task {problem.number}")
 
 
 def _guarded(env: Environment, method: str, when: Callable[[], str]) -> contextlib.AbstractContextManager[None]:

@@ -26,8 +26,9 @@ def failed(who: str, what: str, when: str, error: BaseException) -> RecordingFai
     """
     place, text = traceback.extract_tb(error.__traceback__)[-1], " ".join(str(error).split()).rstrip(".")
     return RecordingFailed(
-        f"{who} raised {type(error).__name__} in {what} {when}: {text} ({Path(place.filename).name}, line "
-        f"{place.lineno}). Mend the environment, or give it other settings with '--set'."
+        f"{who} raised {type(error).__name__} in {what} {when}{': ' if text else ''}{text} "
+        f"({Path(place.filename).name}, line {place.lineno}). Mend the environment, or give it other settings with "
+        "'--set'."
     )
 
 

@@ -99,7 +99,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     )
     with guard("'reset'"):
         frame, info = env.reset(seed=seed, options={"vary": list(vary)} if vary else None)
-    _require_picture(env.facts, frame)
+    require_picture(env.facts, frame)
     factors = _factors(env.facts, info)
     with guard(_TELLING):
         images, witness = _Film(frame), _Witness(env)
@@ -110,7 +110,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
         with guard("'step'"):
             frame, _, over, late, _ = env.step(action)
             terminated, truncated = bool(over), bool(late)
-        _require_picture(env.facts, frame)
+        require_picture(env.facts, frame)
         actions.append(taken)
         images.append(frame)
         with guard(_TELLING):
@@ -124,7 +124,7 @@ def record_episode(env: Environment, policy: Policy, seed: int, frames: int, var
     return Episode(frames=film, labels=labels, seed=seed, ended=ended)
 
 
-def _require_picture(facts: EnvSpec, picture: object) -> None:
+def require_picture(facts: EnvSpec, picture: object) -> None:
     """Check that what an environment draws is what its facts say.
 
     Raises:

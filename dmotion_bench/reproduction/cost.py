@@ -193,7 +193,7 @@ class _Estimate:
             )
 
         amount = f"{sum(one.tasks() for one in places)} tasks"
-        self._add(reference, column.name, len(places), amount, seconds)
+        self._add(reference, column.name, sum(map(groups_of_tasks, places)), amount, seconds)
 
     def _score(self, column: Column, state: State) -> None:
         runs = list(state.left())
@@ -270,5 +270,5 @@ def control_places(state: State) -> list[Scoring]:
 
 
 def groups_of_tasks(scoring: Scoring) -> int:
-    """How many jobs the control of a run is."""
+    """How many jobs the control of a run, or of a reference, is."""
     return -(-scoring.tasks() // scoring.control.group)

@@ -3,11 +3,6 @@
 A task's figure is its normalised distance: 1 at the start, 0 at the goal, from the simulator's positions, whatever
 the model saw (``planning/tasks.py``). What becomes of the samples of it stands in ``figures.py``. Where an environment
 tells no positions its pictures judge, and samples and figures have names of their own.
-
-The references say what a figure means: ``idle`` (1 by definition), ``random``, ``scripted`` (rules that read the
-simulator) and ``oracle`` (the same solver with the true simulator as its model). They depend on the data set alone,
-so what they did is kept in its ``cache/``. The oracle takes much longer than any model: it stands beside a model
-once it has been scored for itself (``dmbench score oracle``).
 """
 
 from __future__ import annotations
@@ -21,10 +16,11 @@ import numpy as np
 import pyarrow as pa
 import torch
 
-from dmotion_bench.environment import HasScript
+from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable
 from dmotion_bench.learning.model import ForwardModel
-from dmotion_bench.planning.agents import REFERENCES, Agent, ModelAgent, make_reference
+from dmotion_bench.learning.settings import require_use
+from dmotion_bench.planning.agents import Agent, ModelAgent, make_reference
 from dmotion_bench.planning.choices import (
     DEFAULT_SOLVER,
     SIMULATOR,
@@ -48,14 +44,10 @@ from dmotion_bench.planning.objectives.base import Objective, taught
 from dmotion_bench.planning.objectives.true_cost import TrueCost
 from dmotion_bench.planning.tasks import Judge, Problem, load_problems, task_environment
 from dmotion_bench.scoring.earlier_planning import present_settings
-from dmotion_bench.scoring.kept_control import journal_of, kept_by_reference
-from dmotion_bench.scoring.prediction import MODEL, Execution
-from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows, require_readable
+from dmotion_bench.scoring.kept_control import journal_of
+from dmotion_bench.scoring.samples import CONTROL, PICTURE_CONTROL, SampleRows
 from dmotion_bench.storage.readable import ReadableDataset
 from dmotion_bench.values import require_bounds
-
-QUICK: Final = ("idle", "random", "scripted")
-"""References that take seconds."""
 
 _OF_COLUMN: Final = ("planner", "planner_set", "objective", "objective_set")
 """The settings that a column decides."""
@@ -127,6 +119,29 @@ class ControlScoring:
             )
         for name, value in frozen.items():
             object.__setattr__(self, name, value)
+
+    def require_use(self, actions: ActionSpec | None) -> None:
+        """Refuse settings that do nothing with the actions of an environment, except a column's, which are frozen.
+
+        A stored report may hold some, so it is not asked for one.
+
+        Raises:
+            InvalidSetting: One is for the other kind of action.
+        """
+        if self.column is not None:
+            return
+        require_use(make_solver(self.planner, self.planner_set), actions, "--planner-set")
+        if self.objective is not None:
+            require_use(make_objective(self.objective, self.objective_set), actions, "--objective-set")
+
+    def groups(self, known: int) -> list[tuple[int, ...]]:
+        """The numbers of the tasks, in groups that are worked on together.
+
+        Args:
+            known: How many tasks the data set has.
+        """
+        count = known if self.tasks is None else min(self.tasks, known)
+        return [tuple(range(first, min(first + self.group, count))) for first in range(0, count, self.group)]
 
     def planned_with(self, dataset: ReadableDataset, *, needs_pixels: bool | None) -> tuple[str, Objective]:
         """The objective's name, and the objective.
@@ -210,28 +225,6 @@ def score_control(
     )
 
 
-def score_reference(
-    name: str,
-    dataset: ReadableDataset,
-    scoring: ControlScoring | None = None,
-    *,
-    progress: Advance = lambda _: None,
-    problems: Sequence[Problem] | None = None,
-) -> ControlResult:
-    """The results of a reference; they are kept in the data set's cache, also when the work is interrupted.
-
-    Args:
-        name: Of the reference.
-        dataset, scoring, progress, problems: As ``score_control`` takes them.
-
-    Raises:
-        UnknownName: There is no such reference; else as ``score_control``.
-    """
-    scoring = scoring or ControlScoring()
-    kept = kept_by_reference(name, dataset, scoring)
-    return score_control(name, dataset, scoring, progress=progress, checkpoint=kept, problems=problems)
-
-
 def require_tasks(dataset: ReadableDataset) -> None:
     """Raise an error if control cannot be scored on a data set.
 
@@ -246,65 +239,6 @@ def require_tasks(dataset: ReadableDataset) -> None:
         )
     if not dataset.tasks():
         load_problems(dataset)
-
-
-def control_tables(
-    model: ForwardModel[Any],
-    dataset: ReadableDataset,
-    scoring: ControlScoring,
-    how: Execution,
-    journal: Path | None,
-    others: int = 0,
-) -> list[pa.Table]:
-    """The samples of a model's control and of the references beside it.
-
-    Args:
-        model, dataset, scoring: As ``score_control`` takes them.
-        how: Device and progress.
-        journal: The model's file to go on from.
-        others: How many samples the report has besides.
-
-    Raises:
-        InvalidSetting: With these there would be more than can be read again; else as ``score_control``.
-    """
-
-    def advance(what: str) -> Advance:
-        return lambda progress: how.progress(
-            f"control by {what}" + ("" if np.isnan(progress.distance) else f", distance {progress.distance:.3f}"),
-            progress.steps,
-            progress.total,
-        )
-
-    require_tasks(dataset)
-    problems = load_problems(dataset, scoring.tasks)
-    references = known_references(dataset, scoring, problems)
-    require_readable(others + (1 + len(references)) * len(problems) * (scoring.steps + 1), of_tasks=True)
-    tables = [
-        control_samples(name, score_reference(name, dataset, scoring, progress=advance(name), problems=problems))
-        for name in references
-    ]
-    told = advance("the model")
-    result = score_control(
-        model, dataset, scoring, device=how.device, progress=told, checkpoint=journal, problems=problems
-    )
-    return [*tables, control_samples(MODEL, result)]
-
-
-def known_references(dataset: ReadableDataset, scoring: ControlScoring, problems: Sequence[Problem]) -> tuple[str, ...]:
-    """The references that can be shown beside a model without delay: quick ones, and ones scored before.
-
-    Args:
-        dataset, scoring: As ``score_control`` takes them.
-        problems: The tasks that the model works on.
-    """
-
-    def is_done(name: str) -> bool:
-        journal = journal_of(kept_by_reference(name, dataset, scoring), name, dataset, scoring, None)
-        return all(len(record.actions) >= scoring.steps for record in journal.all_records(problems).values())
-
-    (env := task_environment(dataset.recipe)).close()
-    possible = [name for name in REFERENCES if name != "scripted" or isinstance(env, HasScript)]
-    return tuple(name for name in possible if name in QUICK or is_done(name))
 
 
 def control_samples(predictor: str, result: ControlResult) -> pa.Table:

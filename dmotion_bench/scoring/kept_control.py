@@ -38,9 +38,12 @@ def journal_of(
     """The journal of a control run; it also accepts results of this version in the words of earlier releases."""
     key = _key(model, dataset, scoring, device)
     extent = Extent(actions=known_actions(dataset.spec), tasks=len(dataset.tasks()), steps=scoring.steps)
+    shares = [] if path is None else shares_of(path)
     journal = Journal(path, key, extent, earlier=_earlier_keys(key, scoring))
-    for share in () if path is None else shares_of(path):
+    for share in shares:
         journal.take_over(share)
+    if path is not None and shares:
+        journal.take_over(path)  # again: another process may have gathered the shares in it meanwhile
     return journal
 
 

@@ -22,7 +22,7 @@ from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import column_named, require_fitting_tasks, words_of_test
 from dmotion_bench.planning.contract import using
 from dmotion_bench.planning.dynamics.model import arithmetic_on
-from dmotion_bench.scoring.control import control_tables, require_tasks
+from dmotion_bench.scoring.control import require_tasks
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
@@ -39,6 +39,7 @@ from dmotion_bench.scoring.prediction import (
     score_rollouts,
     score_steps,
 )
+from dmotion_bench.scoring.reference_control import control_tables
 from dmotion_bench.scoring.references import REFERENCES
 from dmotion_bench.scoring.report import (
     CONTRACT,
@@ -211,6 +212,7 @@ def score_run(
         DatasetMissing: The other one is an import, and the data set of the training is not there.
         LabelsNotAvailable: Nothing says what the actions do in the model; or as ``score_model`` raises it.
         DatasetError, LabelsNotAvailable: Control is asked for where it cannot be scored.
+        InvalidSetting: A setting of the planner does nothing with the environment's actions.
         UsageError: The run's number of threads is not allowed here.
         FolderInUse: Another process scores the run.
     """
@@ -233,6 +235,7 @@ def score_run(
         require_gain(dataset, settings.split, settings.gain)
     if "control" in metrics:
         require_tasks(dataset)  # said before the work, not after it
+        settings.control.require_use(dataset.spec.actions)
     if dataset.spec.actions is None:
         metrics = ("prediction",)
     folder.mkdir(parents=True, exist_ok=True)

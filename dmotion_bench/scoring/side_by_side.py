@@ -157,10 +157,7 @@ def control_shares(job: ScoreJob) -> Iterator[ScoreJob]:
         if not job.renew and is_scored(job.run, "control", job.settings, job.data):
             return
         data, _ = scored_data(Run.open(job.run), job.settings.split, job.data, job.settings.control.column)
-        scoring, known = job.settings.control, len(data.tasks())
-        count = known if scoring.tasks is None else min(scoring.tasks, known)
-        for first in range(0, count, scoring.group):
-            numbers = tuple(range(first, min(first + scoring.group, count)))
+        for numbers in job.settings.control.groups(len(data.tasks())):
             yield ScoreJob(**{**vars(job), "tasks": numbers})
 
 

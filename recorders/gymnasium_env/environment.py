@@ -31,7 +31,7 @@ from dmotion_bench.wording import shown
 from recorders.gymnasium_env.guest import missing_package, quiet, unmade
 from recorders.gymnasium_env.legacy_randomness import LegacyRandomness
 from recorders.gymnasium_env.modules import import_named
-from recorders.gymnasium_env.resets import Resets
+from recorders.gymnasium_env.resets import Resets, is_first
 from recorders.gymnasium_env.spaces import action_spec, for_simulator
 from recorders.gymnasium_env.worlds import PACKAGES
 from recorders.policies import RandomPolicy, StickyPolicy
@@ -131,7 +131,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
         )
         self.action_space = actions.space()
         self.observation_space = gymnasium.spaces.Box(0, 255, (frame_size, frame_size, 3), np.uint8)
-        self._seed, self._steps, self._over, self._late = 0, 0, False, False
+        self._seed, self._steps, self._over = 0, 0, False
         self._drawn: tuple[int, ...] | None = None  # the shape of the pictures
         self._frame: UInt8[np.ndarray, "h w 3"] = np.zeros((frame_size, frame_size, 3), np.uint8)
 
@@ -187,7 +187,7 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
     ) -> tuple[UInt8[np.ndarray, "h w 3"], dict[str, Any]]:
         """Start an episode; nothing varies but by the seed."""
         super().reset(seed=seed)
-        self._steps, self._over, self._late = 0, False, False
+        self._steps, self._over = 0, False
         self._seed = 0 if seed is None else seed % _SEEDS
         if seed is not None:
             if self._fresh and self._used:
@@ -216,12 +216,11 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             for _ in range(self._repeat):
                 # Made anew each time: a simulator may write into it.
                 given, before = for_simulator(self._inner.action_space, action), self._resets.count
-                _, gained, over, late, _ = self._inner.step(given)
+                _, gained, over, late, info = self._inner.step(given)
                 self._steps += 1
                 reward += float(np.asarray(gained, np.float64).sum())  # of several objectives; no data set holds it
                 self._over, truncated = bool(over), truncated or bool(late)
-                self._late = self._late or truncated
-                self._require_same_episode(before)
+                self._require_same_episode(self._resets.count > before or is_first(info))
                 if self._over:
                     break
             self._frame = self._look()
@@ -243,7 +242,8 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     def _look(self) -> UInt8[np.ndarray, "h w 3"]:
         """What is drawn now, in the size of the frames."""
-        picture: Any = self._inner.render()
+        with self._named("render"):
+            picture: Any = self._inner.render()
         if not (
             isinstance(picture, np.ndarray)
             and picture.dtype == np.uint8
@@ -271,13 +271,13 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
             )
         return area_mean(picture, self._size, self._size)
 
-    def _require_same_episode(self, before: int) -> None:
-        """See that the simulator was not reset in a step, if an episode ended in it or had before."""
-        if (self._over or self._late) and self._resets.count > before:
+    def _require_same_episode(self, began: bool) -> None:
+        """See that the simulator did not begin a new episode in a step."""
+        if began:
             raise RecordingFailed(
-                f"{self.name!r} began a new episode by itself {self._when()}, where one had ended, so the next frame "
-                "would not be what the action led to; leave out what resets it, such as the wrapper "
-                "'gymnasium.wrappers:Autoreset', or give a later end: '--set max_episode_steps=1000'."
+                f"{self.name!r} began a new episode by itself {self._when()}, so the next frame would not be what the "
+                "action led to; leave out what resets it, such as the wrapper 'gymnasium.wrappers:Autoreset', or stay "
+                "before its end, with '--set max_episode_steps=1000', fewer '--frames' or a smaller '--frame-skip'."
             )
 
     def _when(self) -> str:
@@ -285,10 +285,15 @@ class GymnasiumEnvironment(gymnasium.Env[UInt8[np.ndarray, "h w 3"], Any]):
 
     @contextlib.contextmanager
     def _guarded(self, what: str) -> Iterator[None]:
-        """Turn what the simulator raises into a sentence."""
+        """Quietly and with random numbers of the simulator's own; what it raises becomes a sentence."""
+        with self._named(what), quiet(), self._legacy.lent():
+            yield
+
+    @contextlib.contextmanager
+    def _named(self, what: str) -> Iterator[None]:
+        """Turn what a method of the simulator raises into a sentence."""
         try:
-            with quiet(), self._legacy.lent():
-                yield
+            yield
         except (DmbenchError, MemoryError):
             raise
         except (Exception, SystemExit) as error:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from collections.abc import Mapping
 from typing import Any
 
 
@@ -25,3 +26,21 @@ class Resets:
         """Reset the environment."""
         self.count += 1
         return self._reset(*given, **named)
+
+
+def is_first(info: Any) -> bool:
+    """Whether a step says beside its frame that it is the first of an episode, as those of dm_env do.
+
+    A simulator of dm_env begins anew in the step after the last one, without its ``reset``. What stands for it in
+    Gymnasium hands its ``StepType`` or its ``TimeStep`` on, of which exactly one of ``first``, ``mid`` and ``last`` is
+    true.
+
+    Args:
+        info: What ``step`` returns at last.
+    """
+    with contextlib.suppress(Exception):  # whatever somebody else keeps there
+        for told in info.values() if isinstance(info, Mapping) else ():
+            kinds: list[Any] = [getattr(told, name, None) for name in ("first", "mid", "last")]
+            if all(map(callable, kinds)) and [kind() for kind in kinds] == [True, False, False]:
+                return True
+    return False

@@ -44,6 +44,7 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "plan's steps": (lambda: dm.plan("random", steps=0), "steps is 0; .* of 1 or more"),
     "demo's seed": (lambda: dm.demo("new", seed=True), "seed is True; it must be a whole"),
     "batch": (lambda: dm.score("tiny", batch_size=0), "batch_size is 0; .* of 1 or more"),
+    "a reference": (lambda: dm.score("oracle", "control"), r"'oracle' is a reference .*dm\.plan\('oracle'\)"),
     "half a step": (lambda: dm.score("tiny", horizon=2.5), "horizon is 2.5; .* of 1 or more"),  # type: ignore[arg-type]
     "planner scored": (lambda: dm.score("tiny", planner="icem"), "planner would change nothing without control"),
     "tasks scored": (lambda: dm.score("tiny", "control", tasks=0), "tasks is 0; .* of 1 or more"),

@@ -248,8 +248,6 @@ def test_one_run_that_fails_says_why(run: Callable[..., Result]) -> None:
         (["a", "--metrics", ""], UsageError, "names no group"),
         (["oracle"], UsageError, "score it with '--metrics control'"),
         (["oracle", "--metrics", "prediction", "--column", "generic"], UsageError, "score it with '--metrics control'"),
-        (["oracle", "--metrics", "control", "--workers", "2"], UsageError, "leave out --workers."),
-        (["oracle", "--column", "generic", "--executor", "ray"], UsageError, "leave out --executor."),
         (["oracle", "--metrics", "control", "--split", "test", "--device", "cpu"], UsageError, "--split and --device."),
         (["oracle", "--column", "generic", "--batch-size", "8"], UsageError, "leave out --batch-size."),
         (["a", "--planner", "icem"], UsageError, "--planner would change nothing without control"),

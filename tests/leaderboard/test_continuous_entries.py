@@ -17,7 +17,8 @@ from dmotion_bench.errors import EntryInvalid
 from dmotion_bench.learning.runs.manifest import stored_actions
 from dmotion_bench.planning.agents import known_actions
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.scoring.control import ControlScoring, control_samples, score_control, score_reference
+from dmotion_bench.scoring.control import ControlScoring, control_samples, score_control
+from dmotion_bench.scoring.reference_control import score_reference
 from dmotion_bench.scoring.report import read_report, write_report
 from dmotion_bench.scoring.samples import read_samples, vectors, write_samples
 from dmotion_bench.scoring.score import score_run

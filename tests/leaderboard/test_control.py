@@ -17,9 +17,10 @@ from known_model import stands_for_every_model, write_run
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.columns import tasks_hash
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.scoring.control import ControlScoring, score_reference
+from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.earlier_planning import earlier_planning
 from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.reference_control import score_reference
 from dmotion_bench.scoring.report import read_report, write_report
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings

@@ -26,6 +26,7 @@ from dmotion_bench.planning.objectives.pixel import Pixel
 from dmotion_bench.planning.solvers.base import PlanContext
 from dmotion_bench.planning.solvers.mppi import PathIntegral
 from dmotion_bench.planning.solvers.proposals import Gaussian, coloured
+from dmotion_bench.planning.solvers.rollouts import Rollouts
 
 SOLVERS = ("cem", "icem", "mppi", "random-shooting", "gradient")
 GOOD = {"cem": 0.05, "icem": 0.05, "mppi": 0.1, "random-shooting": 0.2, "gradient": 0.05}
@@ -56,13 +57,13 @@ def alone(both: PlanContext, place: int, memory: Any = None) -> PlanContext:
 TWO = seen([(0.2, 0.2), (0.7, 0.3)], [(0.5, 0.53), (0.3, 0.5)])
 
 
-def plan_of(name: str, given: PlanContext, objective: Any = None) -> Any:
+def plan_of(name: str, given: PlanContext, objective: Any = None, settings: list[str] | None = None) -> Any:
     fresh = replace(
         given, generators=tuple(np.random.default_rng([3, int(one.integers(9))]) for one in given.generators)
     )
     dynamics = ModelDynamics(Blob(), bf16=False)
     evaluator = (objective or Feature()).reset(FACTS, given.observation.current, given.observation.goals)
-    return make_solver(name).plan(dynamics, evaluator, fresh)
+    return make_solver(name, settings or []).plan(dynamics, evaluator, fresh)
 
 
 def generators(*names: int) -> tuple[np.random.Generator, ...]:
@@ -214,8 +215,19 @@ def test_solvers_of_continuous_actions_refuse_discrete_ones(name: str) -> None:
     walks = Walks((0,))
     with pytest.raises(InvalidSetting, match=f"the planner '{name}' needs continuous actions, and these are discrete"):
         walks.plan(make_solver(name), context(1, observation=unseen(1)))
-    with pytest.raises(InvalidSetting, match="needs discrete actions, and these are continuous"):
+    with pytest.raises(
+        InvalidSetting, match=r"the planner needs discrete actions, and these are continuous.*or another planner"
+    ):
         plan_of("exhaustive", TWO)
+
+
+@pytest.mark.parametrize("shape", [(2, 3, 4, 1), (2, 3, 4, 4), (2, 3, 4), (2, 0, 4, 2), (1, 3, 4, 2)])
+def test_sequences_of_other_shapes_are_refused(shape: tuple[int, ...]) -> None:
+    evaluator = Feature().reset(FACTS, TWO.observation.current, TWO.observation.goals)
+    rollouts = Rollouts(ModelDynamics(Blob(), bf16=False), evaluator, TWO.observation)
+    said = r"they must be a NumPy array of the shape \(2, sequences, steps, 2\), of floating-point numbers"
+    with pytest.raises(PlannerContractBroken, match=said):
+        rollouts.stacked_costs(np.zeros(shape))
 
 
 def test_random_shooting_draws_discrete_actions_too() -> None:

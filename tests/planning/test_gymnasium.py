@@ -25,8 +25,9 @@ from dmotion_bench.planning.tasks import (
 )
 from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.scoring.control import ControlScoring, control_samples, score_reference
+from dmotion_bench.scoring.control import ControlScoring, control_samples
 from dmotion_bench.scoring.figures import figures_of
+from dmotion_bench.scoring.reference_control import score_reference
 from dmotion_bench.scoring.score import score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.scoring.tiers import tier_of_data

@@ -118,6 +118,7 @@ def test_a_memory_is_sequences_of_actions(
         ),
         ("costs", np.full((1, 5), np.nan), r"holds costs that are not numbers \(NaN\)"),
         ("progress", None, r"holds as its progress object of the shape \(\); it must be .* \(1, any number\)"),
+        ("parts", None, "holds as the parts of its costs 'NoneType'; it must be a dictionary, empty for none"),
         ("parts", {"risk": np.zeros((1, 2))}, r"holds as its part 'risk' of the costs float64 of the shape \(1, 2\)"),
     ],
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 import torch
@@ -52,6 +54,22 @@ def test_the_costs_are_those_of_naive_evaluation(data: st.DataObject) -> None:
 def test_an_action_that_there_is_not_is_refused(action: int) -> None:
     with pytest.raises(PlannerContractBroken, match=f"tries the actions .*{action}.*; there are 0 to 3"):
         tree_of(Walks((0,)), 2).costs(np.array([[[0, action]]]))
+
+
+@pytest.mark.parametrize(
+    ("sequences", "found"),
+    [
+        (np.zeros((2, 3, 4), np.int64), r"int64 of the shape \(2, 3, 4\)"),  # of more tasks
+        (np.zeros((1, 3), np.int64), r"int64 of the shape \(1, 3\)"),
+        (np.zeros((1, 0, 4), np.int64), r"int64 of the shape \(1, 0, 4\)"),
+        (np.zeros((1, 3, 4)), r"float64 of the shape \(1, 3, 4\)"),
+        ([[[0, 1]]], "a list"),
+    ],
+)
+def test_what_is_no_array_of_sequences_is_refused(sequences: Any, found: str) -> None:
+    wanted = r"as its sequences; they must be a NumPy array of the shape \(1, sequences, steps\), of whole numbers"
+    with pytest.raises(PlannerContractBroken, match=f"the solver tries {found} {wanted}"):
+        tree_of(Walks((0,)), 4).stacked_costs(sequences)
 
 
 def test_every_prefix_is_predicted_once() -> None:

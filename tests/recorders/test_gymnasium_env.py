@@ -22,7 +22,7 @@ from strange_worlds import SLIDER, SMALL
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.environment import ObjectEnvironment, Tier, tier_of
-from dmotion_bench.errors import DatasetError, InvalidSetting
+from dmotion_bench.errors import DatasetError, InvalidSetting, RecordingFailed
 from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.planning.tasks import load_problems
 from dmotion_bench.recording.preset import recipe_for
@@ -153,6 +153,16 @@ def test_an_episode_ends_where_the_environment_ends_it(tmp_path: Path) -> None:
     cut = recorded(tmp_path / "cut", SLIDER, settings=("max_episode_steps=3",), frames=30)
     assert cut.lengths.tolist() == [4, 4]
     assert {row.ended for row in cut.rows} == {"truncated"}
+
+
+def test_what_is_raised_without_a_word_names_the_method(monkeypatch: pytest.MonkeyPatch) -> None:
+    def undrawn(world: Any) -> None:
+        raise NotImplementedError
+
+    monkeypatch.setattr(strange_worlds.Slider, "render", undrawn)
+    said = r"raised NotImplementedError in 'render' at step 0 of the episode with seed 1 \(test_gymnasium_env.py, line"
+    with pytest.raises(RecordingFailed, match=said):
+        environment_class(SLIDER)().reset(seed=1)
 
 
 @pytest.mark.parametrize("name", ["Keyed", "Blind"])

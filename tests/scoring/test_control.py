@@ -23,11 +23,12 @@ from dmotion_bench.planning.mpc import CONTROL_VERSION, ControlProgress
 from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.planning.tasks import load_problems
 from dmotion_bench.recording.session import record_dataset
-from dmotion_bench.scoring import control
-from dmotion_bench.scoring.control import ControlScoring, known_references, require_tasks, score_reference
+from dmotion_bench.scoring import reference_control
+from dmotion_bench.scoring.control import ControlScoring, require_tasks
 from dmotion_bench.scoring.earlier_planning import earlier_planning
 from dmotion_bench.scoring.figures import is_solved
 from dmotion_bench.scoring.prediction import Execution
+from dmotion_bench.scoring.reference_control import known_references, score_reference
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.samples import read_samples
 from dmotion_bench.scoring.score import score_run
@@ -100,7 +101,9 @@ def _known(tasks: Dataset, scoring: ControlScoring) -> tuple[str, ...]:
 def test_tasks_are_loaded_once_for_the_model_and_all_references(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
     monkeypatch.setattr(
-        control, "load_problems", lambda data, *numbers: asked.append(numbers) or load_problems(data, *numbers)
+        reference_control,
+        "load_problems",
+        lambda data, *numbers: asked.append(numbers) or load_problems(data, *numbers),
     )
     report = score(run)
     assert len(report.reference) >= 3

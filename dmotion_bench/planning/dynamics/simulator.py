@@ -26,7 +26,7 @@ from dmotion_bench.environment import Environment, ObjectEnvironment, Rememberin
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.images import to_model
 from dmotion_bench.planning.dynamics.base import Actions, Observation, State
-from dmotion_bench.planning.tasks import Problem, World, judged_distance, measure_of, start, take
+from dmotion_bench.planning.tasks import Problem, World, asking, judged_distance, measure_of, start, take
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,8 @@ class Simulation:
         self._settled = isinstance(env, Settled) and env.settled
         self._undrawn = env if isinstance(env, Undrawn) and not pictures else None
         self._after: dict[tuple[bytes, ActionTaken], Place] = {}
-        self.here = self._now = self._place((), start(env, problem))
+        with asking(env, problem):
+            self.here = self._now = self._place((), start(env, problem))
 
     def follow(self, world: World) -> None:
         """Move to the present state of the controlled simulator."""
@@ -82,7 +83,8 @@ class Simulation:
         if actions == self.here.actions:
             return
         if self._restorable is not None:  # a restored state may differ from the true one in its last bits
-            self.here = self._seen_from(world.env, actions)
+            with asking(world.env, self.problem):
+                self.here = self._seen_from(world.env, actions)
         else:
             for action in actions[len(self.here.actions) :]:
                 self.here = self.step(self.here, action)
@@ -93,18 +95,23 @@ class Simulation:
         """The state that an action leads to."""
         known = self._after.get((place.name, action))
         if known is None:
-            self._go(place)
-            frame = None
-            if self._undrawn is None:
-                frame = take(self.env, action)
-            else:
-                self._undrawn.advance(given(action))
-            self.tried += 1
-            known = self._now = self._place((*place.actions, action), frame)
+            with asking(self.env, self.problem):
+                known = self._now = self._tried(place, action)
             self._after[place.name, action] = known
         if known.actions[:-1] != place.actions:  # the same place, reached on another way
             known = replace(known, actions=(*place.actions, action))
         return known
+
+    def _tried(self, place: Place, action: ActionTaken) -> Place:
+        """What the simulator comes to from a place."""
+        self._go(place)
+        frame = None
+        if self._undrawn is None:
+            frame = take(self.env, action)
+        else:
+            self._undrawn.advance(given(action))
+        self.tried += 1
+        return self._place((*place.actions, action), frame)
 
     def picture(self, place: Place) -> UInt8[np.ndarray, "h w 3"]:
         """What is seen at a place."""

@@ -19,6 +19,7 @@ from jaxtyping import Float, Int
 
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.settings import only_for
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.objectives.base import Evaluator
 from dmotion_bench.planning.solvers.base import SHOWN, Plan, PlanContext, Ranked, Sequences, best_first
@@ -61,15 +62,15 @@ class CrossEntropy:
     horizon: int = 5
     iterations: int = 4
     elites: int = 10
-    action_repeat_prob: float = 0.0
+    action_repeat_prob: float = only_for(0.0, Discrete)
     kept_elites: int = 0
     step_discount: float = 0.0
     cost_at: CostAt = "best"
     hold: int = 1
     replan_every: int = 1
-    initial_std: float = 0.5
-    noise_exponent: float = 0.0
-    momentum: float = 0.0
+    initial_std: float = only_for(0.5, Continuous)
+    noise_exponent: float = only_for(0.0, Continuous)
+    momentum: float = only_for(0.0, Continuous)
 
     def __post_init__(self) -> None:
         require_bounds(

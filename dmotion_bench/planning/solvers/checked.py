@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -34,6 +35,11 @@ def checked_plan(solver: Solver, dynamics: Dynamics, evaluator: Evaluator, conte
     if not isinstance(plan.frames, int | np.integer) or plan.frames < 0:
         raise PlannerContractBroken(
             f"the solver says that it predicted {shown(plan.frames)} frames; it must be a whole number from 0 on."
+        )
+    if not isinstance(plan.parts, Mapping):
+        raise PlannerContractBroken(
+            f"the solver's plan holds as the parts of its costs {shown(type(plan.parts).__name__)}; it must be a "
+            "dictionary, empty for none."
         )
     action, candidates = _action(plan.action, spec, tasks), _candidates(plan.candidates, spec, tasks)
     costs = _numbers("costs", plan.costs, (tasks, candidates.shape[1]))

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import Continuous, Discrete
+from dmotion_bench.learning.settings import only_for
 from dmotion_bench.planning.dynamics.base import Dynamics
 from dmotion_bench.planning.dynamics.model import ModelDynamics
 from dmotion_bench.planning.dynamics.recalled import RecalledDynamics
@@ -26,10 +27,10 @@ from dmotion_bench.planning.solvers.cem import CrossEntropy
 class ImprovedCrossEntropy(CrossEntropy):
     """iCEM; the fields are those of CEM."""
 
-    action_repeat_prob: float = 0.6
+    action_repeat_prob: float = only_for(0.6, Discrete)
     kept_elites: int = 5
-    noise_exponent: float = 2.0
-    momentum: float = 0.1
+    noise_exponent: float = only_for(2.0, Continuous)
+    momentum: float = only_for(0.1, Continuous)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,17 +8,18 @@ whose edges are actions; a node is imagined when a sequence first goes through i
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from dmotion_bench.actions import require_discrete
-from dmotion_bench.errors import PlannerContractBroken
+from dmotion_bench.actions import Discrete
+from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
-from dmotion_bench.planning.solvers.search import Search
+from dmotion_bench.planning.solvers.search import Search, require_sequences
 
 
 @dataclass(kw_only=True)
@@ -76,7 +77,12 @@ class PrefixTree(Search):
 
     def __init__(self, dynamics: Dynamics, evaluator: Evaluator, observation: Observation, horizon: int) -> None:
         self.dynamics, self.horizon, self.frames = dynamics, horizon, 0
-        self.actions = len(require_discrete(dynamics.actions, "sharing the beginnings of sequences"))
+        if not isinstance(dynamics.actions, Discrete):
+            raise InvalidSetting(
+                f"the planner needs discrete actions, and these are continuous: {dynamics.actions}; take a data set "
+                "with discrete actions, or another planner: '--planner icem'."
+            )
+        self.actions = len(dynamics.actions)
         self._evaluator = evaluator
         with torch.inference_mode():
             carried = evaluator.begin(dynamics)
@@ -86,15 +92,17 @@ class PrefixTree(Search):
         tasks = np.arange(len(observation.current))
         nothing = np.full((len(tasks), 1 + len(PARTS)), np.nan)
         root = _Level(key=tasks, task=tasks, cost=nothing, chunks=[(*start, *carried)], starts=[0])
+        self._tasks = len(tasks)
         self._levels = [root] + [
             _Level(key=np.zeros(0, np.int64), task=np.zeros(0, np.int64), cost=nothing[:0]) for _ in range(horizon)
         ]
 
-    def stacked_costs(self, sequences: Int[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s t 4"]:
+    def stacked_costs(self, sequences: Any) -> Float[np.ndarray, "b s t 4"]:
         """See ``Search``."""
+        require_sequences(sequences, self.dynamics.actions, self._tasks)
         if sequences.shape[2] > self.horizon:
             raise ValueError(f"sequences of {sequences.shape[2]} actions in a tree made for {self.horizon}")
-        if sequences.size and not 0 <= sequences.min() <= sequences.max() < self.actions:
+        if not 0 <= sequences.min() <= sequences.max() < self.actions:
             tried, known = f"{sequences.min()} to {sequences.max()}", f"0 to {self.actions - 1}"
             raise PlannerContractBroken(f"the solver tries the actions {tried}; there are {known}.")
         node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])

@@ -6,6 +6,8 @@ first action.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from jaxtyping import Float, Int
@@ -16,7 +18,7 @@ from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
 from dmotion_bench.planning.dynamics.base import Dynamics, Observation, branched
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
 from dmotion_bench.planning.solvers.base import are_within
-from dmotion_bench.planning.solvers.search import Search
+from dmotion_bench.planning.solvers.search import Search, require_sequences
 
 
 class Rollouts(Search):
@@ -41,14 +43,16 @@ class Rollouts(Search):
                 "with continuous actions, or another solver: '--planner icem'."
             )
         self._dynamics, self._evaluator, self.frames = dynamics, evaluator, 0
+        self._tasks = len(observation.current)
         with torch.no_grad() if gradients else torch.inference_mode():
             self._carried = evaluator.begin(dynamics)
         with dynamics.computing(gradients=gradients):
             self._start = dynamics.start(observation)
         self._known: dict[tuple[int, bytes], Float[np.ndarray, "t 4"]] = {}
 
-    def stacked_costs(self, sequences: Float[np.ndarray, "b s t a"]) -> Float[np.ndarray, "b s t 4"]:
+    def stacked_costs(self, sequences: Any) -> Float[np.ndarray, "b s t 4"]:
         """See ``Search``."""
+        require_sequences(sequences, self._dynamics.actions, self._tasks)
         if not are_within(sequences):
             tried = f"{sequences.min():.6g} to {sequences.max():.6g}"
             raise PlannerContractBroken(f"the solver tries the actions {tried}; there are -1 to 1.")

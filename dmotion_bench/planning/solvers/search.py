@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.errors import PlannerContractBroken
 from dmotion_bench.planning.objectives.base import PARTS
 from dmotion_bench.planning.solvers.base import Plan, Sequences
@@ -23,6 +24,30 @@ def known_costs(costs: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     if np.isnan(costs).any():
         raise PlannerContractBroken("the objective gives costs that are not numbers (NaN), so nothing can be planned.")
     return costs
+
+
+def require_sequences(sequences: Any, spec: ActionSpec, tasks: int) -> None:
+    """Refuse what is no array of sequences of actions.
+
+    Args:
+        sequences: ``(tasks, sequences, steps)`` whole numbers, or of continuous actions ``(tasks, sequences, steps,
+            numbers)``.
+        spec: What can be done.
+        tasks: How many there are.
+
+    Raises:
+        PlannerContractBroken: They have another shape or type, or there is none.
+    """
+    discrete = isinstance(spec, Discrete)
+    kind, known = (np.integer if discrete else np.floating), isinstance(sequences, np.ndarray)
+    fits = known and sequences.ndim == 3 + len(spec.shape) and sequences.shape[3:] == spec.shape
+    if not (fits and len(sequences) == tasks and sequences.size and np.issubdtype(sequences.dtype, kind)):
+        found = f"{sequences.dtype} of the shape {sequences.shape}" if known else f"a {type(sequences).__name__}"
+        wanted = ", ".join(map(str, (tasks, "sequences", "steps", *spec.shape)))
+        raise PlannerContractBroken(
+            f"the solver tries {found} as its sequences; they must be a NumPy array of the shape ({wanted}), of "
+            f"{'whole' if discrete else 'floating-point'} numbers, with one sequence and one step at least."
+        )
 
 
 class Search(ABC):
@@ -42,7 +67,8 @@ class Search(ABC):
         """The cost of each sequence of each task after each of its steps.
 
         Raises:
-            PlannerContractBroken: The objective gives costs that are not numbers.
+            PlannerContractBroken: They are no sequences of actions that exist, or the objective gives costs that are
+                not numbers.
         """
         return known_costs(self.stacked_costs(sequences)[..., 0])
 

@@ -9,7 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from dmotion_bench.actions import Continuous
 from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.learning.settings import only_for
 from dmotion_bench.planning.objectives.tracked import Tracked
 from dmotion_bench.values import require_bounds
 
@@ -102,7 +104,7 @@ class TabletopSettings:
     passing_pixels: int = 2
     history_side_px: int = 16
     same_image: float = 2e-4
-    same_action: float = 0.25
+    same_action: float = only_for(0.25, Continuous)
     prediction_error: float = 2e-3
     new_image: float = 1e-2
     settled_scale: float = 0.2

@@ -58,11 +58,11 @@ def check_going_on(subject: ModelTrial) -> None:
         resumed = subject.build(seed=ANOTHER_SEED)
         with subject.calling("load_state_dict"):
             resumed.load_state_dict(model.state_dict())
-        totals = [_next_loss(subject, one, phase) for one in (model, resumed)]
+        unstopped, after = (_next_loss(subject, one, phase) for one in (model, resumed))
         subject.require(
-            torch.allclose(*totals, rtol=NEAR, atol=0),
-            f"losses(batch) of a training that goes on from a checkpoint is {float(totals[1]):.6g} in the phase "
-            f"{phase.name!r}, and {float(totals[0]):.6g} if it had not stopped; what losses knows of earlier steps, "
+            torch.allclose(unstopped, after, rtol=NEAR, atol=0),
+            f"losses(batch) of a training that goes on from a checkpoint is {float(after):.6g} in the phase "
+            f"{phase.name!r}, and {float(unstopped):.6g} if it had not stopped; what losses knows of earlier steps, "
             "such as a teacher, a mean or a count, must be in parameters or buffers, and what depends on time alone "
             "comes to progress(share)",
         )
@@ -116,8 +116,8 @@ def _is_kept(subject: ModelTrial, model: ForwardModel[Any], *, seed: int = 0) ->
         kept.load_state_dict(model.state_dict())
     inputs = (subject.images(BATCH, 1), subject.images(BATCH, 2), subject.actions(BATCH))
     with torch.inference_mode(), subject.calling(subject.prediction):
-        seen = [subject.look_ahead(one, *inputs) for one in (model.eval(), kept)]
-    return torch.allclose(*seen, rtol=0, atol=ROUNDING)
+        before, after = (subject.look_ahead(one, *inputs) for one in (model.eval(), kept))
+    return torch.allclose(before, after, rtol=0, atol=ROUNDING)
 
 
 def tells_actions_apart(subject: ModelTrial, steps: int) -> bool:

@@ -71,6 +71,59 @@ class SoundVideo(Sound):
         return self.layer(torch.cat([previous, current, tiled], dim=1)).float()
 
 
+class Recurrent(ForwardModel[SoundConfig]):
+    """Rolls out in a latent space, and offers all that makes planning faster."""
+
+    supervision: ClassVar[Supervision] = Supervision.ACTIONS
+    paper: ClassVar[str] = "Nobody: Nothing, 2026"
+    Config: ClassVar[type] = SoundConfig
+
+    def __init__(self, config, inputs) -> None:
+        super().__init__(config, inputs)
+        self.encoder = nn.Conv2d(6, 4, 1)
+        self.action = nn.Embedding(len(inputs.actions), 4)
+        self.decoder = nn.Conv2d(4, 3, 1)
+
+    def losses(self, batch):
+        state = self.advance(self.begin(batch.previous, batch.current), batch.action)
+        return Losses(total=(self.frame(state) - batch.next).square().mean())
+
+    def begin(self, previous, current):
+        return (self.encoder(torch.cat([previous, current], 1)),)
+
+    def advance(self, state, action):
+        return (torch.tanh(state[0] + self.action(action)[..., None, None]),)
+
+    def frame(self, state):
+        return self.decoder(state[0]).float()
+
+    def branch(self, state, parent, action):
+        return self.advance((state[0][parent],), action)
+
+    def pixels(self, state):
+        return ((self.frame(state).clamp(-1, 1) + 1) * 127.5).round().to(torch.uint8).movedim(1, -1)
+
+    def features(self, state):
+        return state[0].flatten(1)
+
+    def embedding(self, state):
+        return state[0]
+
+
+class Reading(SoundVideo):
+    """Tells which latent action it reads off frames."""
+
+    def latent_action(self, previous, current, following):
+        return self._code(current, following)
+
+    def predict_with_latent(self, previous, current, latent):
+        return self._coded(previous, current, latent)
+
+    def branch_with_latent(self, state, parent, latent):
+        previous, current = (part[parent] for part in state)
+        return current, self._coded(previous, current, latent)
+
+
 def breaks(base: type, **changes: Any) -> type:
     """A class that does something else than ``base``."""
     return type("Broken", (base,), changes)

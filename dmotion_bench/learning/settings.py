@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final, NoReturn, TypeVar
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
-from dmotion_bench.errors import InvalidSetting
+from dmotion_bench.errors import DmbenchError, InvalidSetting
 from dmotion_bench.storage.json_file import parse_json
 from dmotion_bench.values import parse_value
 
@@ -90,14 +90,34 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(owners))}."
             raise InvalidSetting(f"no setting named {key!r}; {hint}")
         place = owners[key]
-        changes[place][key] = parse_value(key, text, _fields(configs[place])[key])
+        changes[place][key] = _value(key, text, _fields(configs[place])[key])
     try:
         made = [dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True)]
-    except ValueError as error:  # as a config of somebody else's may say it
-        raise InvalidSetting(f"{option} {' '.join(settings)} cannot be: {str(error).rstrip('.')}.") from None
+    except DmbenchError:
+        raise
+    except Exception as error:  # of somebody else's config, which may refuse a value by any
+        said = str(error).rstrip(".") or type(error).__name__
+        raise InvalidSetting(f"{option} {' '.join(settings)} cannot be: {said}.") from None
     for before, config, change in zip(configs, made, changes, strict=True):
         _require_use(before, config, change, option)
     return tuple(made)
+
+
+def _value(key: str, text: str, wanted: Any) -> Any:
+    """What a text says of a field.
+
+    Raises:
+        InvalidSetting: It is not of the field's type, or no text says a value of that type.
+    """
+    value = parse_value(key, text, wanted)
+    try:
+        decoded(wanted, value)
+    except ValueError:
+        raise InvalidSetting(
+            f"{key} cannot be set, since its type is {wanted}; a field that can be set is a number, a word, true or "
+            "false, a choice (Literal, Enum), or a tuple of these, such as tuple[int, ...]."
+        ) from None
+    return value
 
 
 def _require_use(before: Any, config: Any, change: Mapping[str, Any], option: str) -> None:

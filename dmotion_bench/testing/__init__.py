@@ -46,7 +46,14 @@ from dmotion_bench.testing.optional_methods import check_optional_methods
 from dmotion_bench.testing.own_optimizer import check_optimizer
 from dmotion_bench.testing.prediction import check_prediction, check_rollout
 from dmotion_bench.testing.solver import check_solver
-from dmotion_bench.testing.trained import WARM_UP, check_alignment, check_checkpoint, tells_actions_apart
+from dmotion_bench.testing.trained import (
+    WARM_UP,
+    check_alignment,
+    check_checkpoint,
+    check_going_on,
+    check_memory,
+    tells_actions_apart,
+)
 from dmotion_bench.testing.trial import ModelTrial, specified
 
 __all__ = ["CONTINUOUS", "check_before_training", "check_model", "check_objective", "check_solver"]
@@ -79,9 +86,10 @@ def check_model(
     subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec))
     _check(subject)
     if not any(tells_actions_apart(subject, steps) for steps in (0, WARM_UP)):
+        named, given = subject.predicts
         warnings.warn(
-            f"{subject.name}: after {WARM_UP} steps of training predict gives the same frames whatever the action is; "
-            "a model that takes no notice of actions cannot be planned with.",
+            f"{subject.name}: after {WARM_UP} steps of training {named} gives the same {given}s whatever the action "
+            "is; a model that takes no notice of actions cannot be planned with.",
             stacklevel=2,
         )
 
@@ -112,11 +120,13 @@ def _check(subject: ModelTrial) -> None:
     for phase in subject.build().phases():
         check_losses(subject, phase)
         check_validation(subject, phase)
+    check_memory(subject)
     check_optimizer(subject)
     check_prediction(subject)
     check_alignment(subject)
     check_rollout(subject)
     check_checkpoint(subject)
+    check_going_on(subject)
     check_optional_methods(subject)
     if any(kind.training_defaults(preset, subject.arch).channels_last for preset in Preset):
         packed = ModelTrial(kind, subject.arch, subject.inputs, channels_last=True, config=subject.config)

@@ -7,7 +7,7 @@ import inspect
 import math
 from typing import Any, Final
 
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn.parameter import is_lazy
 
 from dmotion_bench.actions import Discrete
@@ -18,6 +18,13 @@ from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.testing.trial import ModelTrial, differing
 from dmotion_bench.values import is_frozen_dataclass
 from dmotion_bench.wording import shown
+
+OPTIONAL_METHODS: Final = (
+    *("latent_action", "predict_with_latent", "agent_map", "agent_maps", "agent_motions", "pixel_shift"),
+    *("infer_action", "chosen_codes", "embedding", "branch", "branch_with_latent", "pixels", "features"),
+    *("feature_maps", "moved_maps"),
+)
+"""Methods of the protocols that scoring, planning and viewing ask a model for."""
 
 _OF_TRAINING: Final = {field.name for field in dataclasses.fields(TrainingConfig)}
 
@@ -56,8 +63,10 @@ def check_class(kind: type[ForwardModel[Any]]) -> None:
     )
     own = {name for name in ("predict", "begin", "advance", "frame") if getattr(kind, name) is not _base(name)}
     subject.require(
-        "predict" in own or {"begin", "advance", "frame"} <= own,
-        NEITHER,
+        {"begin", "advance"} <= own
+        if not kind.needs_pixels
+        else "predict" in own or {"begin", "advance", "frame"} <= own,
+        NEITHER if kind.needs_pixels else "its needs_pixels is False and it does not define both begin and advance",
     )
 
 
@@ -110,10 +119,28 @@ def check_building(subject: ModelTrial) -> None:
             f"its weights {name!r} have no shape before the first batch, as those of lazy modules; give the layer all "
             "of its sizes",
         )
+    check_names(subject, model)
     unlike = differing(state, again.state_dict())
     subject.require(
         not unlike, f"two models built after the same torch.manual_seed differ in {unlike}; a run must repeat"
     )
+
+
+def check_names(subject: ModelTrial, model: ForwardModel[Any]) -> None:
+    """Check that no layer has the name of a method: the method would hide it, or it would be called in its place."""
+    for name, _ in model.named_children():
+        subject.require(
+            not hasattr(type(model), name),
+            f"its layer {name!r} has the name of an attribute of the class, which hides it; "
+            "give the layer another name",
+        )
+    for name in OPTIONAL_METHODS:
+        value = getattr(model, name, None)
+        subject.require(
+            value is None or (callable(value) and not isinstance(value, nn.Module)),
+            f"its attribute {name!r} is of the type {type(value).__name__}; this is the name of a method that a model "
+            "may offer (docs/your_model.md), and it would be called, so give the attribute another name",
+        )
 
 
 def check_phases(subject: ModelTrial) -> None:
@@ -138,4 +165,6 @@ def check_phases(subject: ModelTrial) -> None:
         return
     subject.require(not beside, f"the phase {beside[:1]} has labels beside it, which only Supervision.FEW is given")
     if subject.kind.supervision is Supervision.ACTIONS:
-        subject.require(bool(asking), "its supervision is ACTIONS but no phase needs actions")
+        subject.require(
+            bool(asking), "its supervision is ACTIONS but no phase needs actions; give one Phase(needs_actions=True)"
+        )

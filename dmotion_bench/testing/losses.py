@@ -9,11 +9,13 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
+from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.model import PER_TRIPLET, ForwardModel, Losses, Phase, TripletBatch
 from dmotion_bench.specs import Supervision
 from dmotion_bench.testing.trial import BATCH, ModelTrial, differing, same
 from dmotion_bench.wording import shown
 
+UNTRAINED: Final = "before any training"
 NEAR: Final = 1e-5  # relative: how a loss is rounded depends on where in memory the weights lie
 
 
@@ -39,7 +41,7 @@ def losses_of(
     batch: TripletBatch,
     *,
     seed: int = 0,
-    of: str = "before any training",
+    of: str = UNTRAINED,
 ) -> Losses:
     """The losses of a batch, each in the form that a training reads.
 
@@ -49,9 +51,16 @@ def losses_of(
         seed: Of the random numbers that it may draw.
         of: What an error says of the batch.
     """
-    with torch.random.fork_rng(), subject.calling("losses(batch)"):
+    with torch.random.fork_rng():
         torch.manual_seed(seed)
-        losses = model.losses(batch)
+        try:
+            losses = model.losses(batch)
+        except ModelContractBroken:
+            raise
+        except Exception as error:  # of a stranger's model
+            kind = type(error).__name__ + ("" if of == UNTRAINED else f" {of}")
+            said, why = str(error).rstrip("."), _if_for_lack_of_actions(subject, model, batch)
+            raise subject.broken(f"losses(batch) raised {kind}: {said}{why}") from error
     subject.require(isinstance(losses, Losses), f"losses(batch) gave a {type(losses).__name__}, not Losses")
     total, terms = losses.total, losses.terms
     _require_tensor(subject, "total", total)
@@ -74,14 +83,34 @@ def losses_of(
     if each is not None:
         _require_tensor(subject, "per_triplet", each)
         subject.require(
-            each.shape == (len(batch.current),) and not each.requires_grad,
+            each.shape == (len(batch.current),),
             f"losses(batch).per_triplet has the shape {tuple(each.shape)}; it is one detached number per triplet",
+        )
+        subject.require(
+            not each.requires_grad, "losses(batch).per_triplet has a gradient; give per_triplet=each.detach()"
         )
         subject.require(
             bool((each.isfinite() & (each >= 0)).all()),
             f"losses(batch).per_triplet is {shown(each.tolist())} for some images; {PER_TRIPLET}",
         )
     return losses
+
+
+def _if_for_lack_of_actions(subject: ModelTrial, model: ForwardModel[Any], batch: TripletBatch) -> str:
+    """What to do about losses that fail only because no action is known."""
+    if batch.action is not None:
+        return ""
+    told = dataclasses.replace(batch, action=subject.actions(len(batch.current)))
+    with torch.random.fork_rng():
+        try:
+            model.losses(told)
+        except Exception:  # for another reason, then
+            return ""
+    if subject.kind.supervision is Supervision.NONE:
+        return (
+            "; batch.action is None where supervision is Supervision.NONE, and align(demonstrations) is given actions"
+        )
+    return "; batch.action is None in this phase, and Phase(needs_actions=True) asks for it"
 
 
 def _require_tensor(subject: ModelTrial, name: str, value: Any) -> None:
@@ -128,7 +157,7 @@ def check_losses(subject: ModelTrial, phase: Phase) -> None:
         )
     halved = entered(subject, phase, training=True)
     with torch.autocast("cpu", torch.bfloat16):
-        _gradients(subject, halved, losses_of(subject, halved, batch, of="in bfloat16"))
+        _gradients(subject, halved, losses_of(subject, halved, batch, of="in bfloat16, under torch.autocast"))
 
 
 def _check_still(subject: ModelTrial, phase: Phase, batch: TripletBatch) -> None:
@@ -157,7 +186,7 @@ def check_validation(subject: ModelTrial, phase: Phase) -> None:
     state = {name: tensor.clone() for name, tensor in model.state_dict().items()}
     batch = subject.batch(BATCH, actions=phase.needs_actions)
     with torch.no_grad():
-        first, second = (losses_of(subject, model, batch).total for _ in range(2))
+        first, second = (losses_of(subject, model, batch, of="in evaluation mode").total for _ in range(2))
         subject.require(torch.equal(first, second), "losses(batch) in evaluation mode differ from one call to the next")
         changed = differing(state, model.state_dict())
         subject.require(not changed, f"losses(batch) changes {changed} in evaluation mode")

@@ -60,8 +60,8 @@ def check_optional_methods(subject: ModelTrial) -> None:
 def _check_branch(subject: ModelTrial, model: Any, state: tuple[Tensor, ...]) -> None:
     parents, actions = torch.tensor(PARENTS), subject.actions(len(PARENTS))
     with torch.inference_mode(), subject.calling("branch(state, parent, action)"):
-        branched = model.frame(model.branch(state, parents, actions))
-        expected = model.frame(model.advance(tuple(part[parents] for part in state), actions))
+        branched = subject.look(model, model.branch(state, parents, actions))
+        expected = subject.look(model, model.advance(tuple(part[parents] for part in state), actions))
     _require_same(subject, "branch(state, parent, action)", branched, expected, "advance of the parents' rows")
 
 

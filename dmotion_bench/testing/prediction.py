@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any
 
 import torch
@@ -12,40 +13,41 @@ from dmotion_bench.testing.trial import BATCH, ModelTrial, described, same
 STEPS = 3
 FARTHEST = 10.0
 """From zero, where most values of a frame may lie before a training."""
-PREDICT = "predict(previous, current, action)"
 
 
 def check_prediction(subject: ModelTrial) -> None:
-    """Check ``predict``: repeatable, of each image alone, and for images in which nothing moves."""
+    """Check ``predict``: repeatable, of each image alone, and for images in which nothing moves.
+
+    Of a model that draws no frames, ``advance`` is checked.
+    """
     model = subject.build().eval()
     previous, current, action = subject.images(BATCH, 1), subject.images(BATCH, 2), subject.actions(BATCH)
     before = previous.clone(), current.clone(), action.clone()
-    with torch.inference_mode(), subject.calling(PREDICT):
-        frames = model.predict(previous, current, action)
-    check_frames(subject, PREDICT, frames, current.shape)
+    predict = functools.partial(subject.look_ahead, model)
+    named, given = subject.predicts
+    with torch.inference_mode(), subject.calling(subject.prediction):
+        frames = predict(previous, current, action)
+    if subject.draws:
+        check_frames(subject, subject.prediction, frames, current.shape)
     subject.require(
-        all(map(torch.equal, before, (previous, current, action))), "predict changes its arguments in place"
+        all(map(torch.equal, before, (previous, current, action))), f"{named} changes its arguments in place"
     )
-    with torch.inference_mode(), subject.calling(PREDICT):
-        again = model.predict(previous, current, action)
-    subject.require(torch.equal(frames, again), "predict differs from one call to the next with the same arguments")
-    with torch.inference_mode(), subject.calling(PREDICT):
-        alone = torch.cat(
-            [model.predict(previous[i : i + 1], current[i : i + 1], action[i : i + 1]) for i in range(BATCH)]
-        )
+    with torch.inference_mode(), subject.calling(subject.prediction):
+        again = predict(previous, current, action)
+        alone = torch.cat([predict(previous[i : i + 1], current[i : i + 1], action[i : i + 1]) for i in range(BATCH)])
+        first = predict(current, current.clone(), action)  # as every control task begins
+    subject.require(torch.equal(frames, again), f"{named} differs from one call to the next with the same arguments")
     subject.require(
         torch.allclose(frames, alone, atol=1e-3),
-        "predict gives a frame that depends on the other frames of the batch",
+        f"{named} gives a {given} that depends on the other frames of the batch",
     )
-    with torch.inference_mode(), subject.calling(PREDICT):
-        first = model.predict(current, current.clone(), action)  # as every control task begins
     subject.require(
-        bool(first.isfinite().all()), f"{PREDICT} gave frames that are not finite where both images are the same"
+        bool(first.isfinite().all()), f"{named} gave {given}s that are not finite where both images are the same"
     )
 
 
 def check_rollout(subject: ModelTrial) -> None:
-    """Check ``begin``, ``advance``, ``frame`` and ``rollout``, and that they agree with ``predict``."""
+    """Check ``begin``, ``advance``, ``frame`` and ``rollout``, and that drawn frames agree with ``predict``."""
     model = subject.build().eval()
     previous, current = subject.images(BATCH, 1), subject.images(BATCH, 2)
     actions = torch.stack([subject.actions(BATCH, shift) for shift in range(STEPS)], dim=1)
@@ -61,17 +63,19 @@ def check_rollout(subject: ModelTrial) -> None:
                 "actions",
             )
             state = after
-            frames.append(model.frame(state))
-    with torch.inference_mode(), subject.calling("rollout(previous, current, actions)"):
-        rolled = model.rollout(previous, current, actions)
-        predicted = model.predict(previous, current, actions[:, 0])
-    check_frames(subject, "rollout(previous, current, actions)", rolled, (BATCH, STEPS, *current.shape[1:]))
-    subject.require(
-        torch.allclose(rolled, torch.stack(frames, dim=1), atol=1e-4), "rollout differs from begin, advance and frame"
-    )
-    subject.require(
-        torch.allclose(rolled[:, 0], predicted, atol=1e-4), "the first frame of rollout differs from predict"
-    )
+            frames.append(subject.look(model, state))
+    if subject.draws:
+        with torch.inference_mode(), subject.calling("rollout(previous, current, actions)"):
+            rolled = model.rollout(previous, current, actions)
+            predicted = model.predict(previous, current, actions[:, 0])
+        check_frames(subject, "rollout(previous, current, actions)", rolled, (BATCH, STEPS, *current.shape[1:]))
+        subject.require(
+            torch.allclose(rolled, torch.stack(frames, dim=1), atol=1e-4),
+            "rollout differs from begin, advance and frame",
+        )
+        subject.require(
+            torch.allclose(rolled[:, 0], predicted, atol=1e-4), "the first frame of rollout differs from predict"
+        )
     subject.require(all(map(same, copied, start)), "rollout changes the state of another rollout in place")
     _check_rows(subject, model, start, actions[:, 0], frames[0])
 
@@ -91,7 +95,7 @@ def _check_rows(subject: ModelTrial, model: Any, state: tuple[Tensor, ...], acti
         torch.inference_mode(),
         subject.calling("advance(state, action), with rows of an earlier state as a plain tuple,"),
     ):
-        again = model.frame(model.advance(tuple(part[rows] for part in state), action[rows]))
+        again = subject.look(model, model.advance(tuple(part[rows] for part in state), action[rows]))
     subject.require(
         torch.allclose(again, frames[rows], atol=1e-4),
         "advance goes on otherwise from the rows of an earlier state than from that state; whatever a rollout needs "

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import gc
+import weakref
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from dmotion_bench.learning.model import ForwardModel, Phase
+from dmotion_bench.scoring.latent_models import LatentActionModel
 from dmotion_bench.specs import Supervision
-from dmotion_bench.testing.losses import batch_of, losses_of
-from dmotion_bench.testing.prediction import PREDICT
+from dmotion_bench.testing.losses import NEAR, batch_of, entered, losses_of
 from dmotion_bench.testing.trial import BATCH, ModelTrial, differing
 
 WARM_UP = 3  # steps of training before it is asked whether demonstrations teach anything
@@ -26,7 +29,9 @@ def check_alignment(subject: ModelTrial) -> None:
         # a spatial transformer starts at the identity: before any training every demonstration shows the same motion
         model, other = _two_aligned(subject, steps=WARM_UP)
     subject.require(
-        subject.has_one_action or bool(differing(model.state_dict(), other.state_dict())),
+        subject.has_one_action
+        or bool(differing(model.state_dict(), other.state_dict()))
+        or _reads_one_latent(subject, model),
         "align(demonstrations) leaves the same state whichever actions are shown, so it learns nothing that is kept: "
         "what it learns must be in buffers or parameters",
     )
@@ -37,12 +42,68 @@ def check_alignment(subject: ModelTrial) -> None:
 
 def check_checkpoint(subject: ModelTrial) -> None:
     """Check that another process, which built the model anew, predicts the same with the trained weights."""
+    named, given = subject.predicts
     subject.require(
         _is_kept(subject, _aligned(subject, steps=WARM_UP), seed=ANOTHER_SEED),
-        "predict gives other frames once its weights are saved and loaded into a model built anew; whatever it "
+        f"{named} gives other {given}s once its weights are saved and loaded into a model built anew; whatever it "
         "predicts with must be in parameters or buffers: layers in a list in nn.ModuleList, random or learned numbers "
         "in register_buffer",
     )
+
+
+def check_going_on(subject: ModelTrial) -> None:
+    """Check that a training goes on from a checkpoint as if it had not stopped, and keeps no batch in memory."""
+    for phase in subject.build().phases():
+        model = _trained(subject, subject.build(), phase, WARM_UP)
+        resumed = subject.build(seed=ANOTHER_SEED)
+        with subject.calling("load_state_dict"):
+            resumed.load_state_dict(model.state_dict())
+        unstopped, after = (_next_loss(subject, one, phase) for one in (model, resumed))
+        subject.require(
+            torch.allclose(unstopped, after, rtol=NEAR, atol=0),
+            f"losses(batch) of a training that goes on from a checkpoint is {float(after):.6g} in the phase "
+            f"{phase.name!r}, and {float(unstopped):.6g} if it had not stopped; what losses knows of earlier steps, "
+            "such as a teacher, a mean or a count, must be in parameters or buffers, and what depends on time alone "
+            "comes to progress(share)",
+        )
+
+
+def _next_loss(subject: ModelTrial, model: ForwardModel[Any], phase: Phase) -> Tensor:
+    with subject.calling(f"enter({phase.name!r})"):
+        model.train().enter(phase)
+    with subject.calling("progress(0.5)"):
+        model.progress(0.5)
+    return losses_of(subject, model, batch_of(subject, phase)).total.detach()
+
+
+def check_memory(subject: ModelTrial) -> None:
+    """Check that a model lets go of a batch and of its losses, so that memory does not grow from step to step."""
+    for phase in subject.build().phases():
+        model = entered(subject, phase, training=True)
+        with subject.calling("progress(0.0)"):
+            model.progress(0.0)
+        first = batch_of(subject, phase)
+        losses = losses_of(subject, model, first)
+        held = [weakref.ref(one) for one in (first.current, first.next, losses.total)]
+        del first, losses
+        losses_of(subject, model, batch_of(subject, phase))
+        gc.collect()
+        subject.require(
+            all(one() is None for one in held),
+            f"losses(batch) keeps tensors of an earlier batch in the phase {phase.name!r}, so memory grows with every "
+            "step; keep numbers, as float(loss), or copies in buffers",
+        )
+
+
+def _reads_one_latent(subject: ModelTrial, model: ForwardModel[Any]) -> bool:
+    """Whether a model reads the same latent action off all demonstrations, as one of few codes may at first."""
+    reader: object = model
+    if not isinstance(reader, LatentActionModel):
+        return False
+    shown = subject.demonstrations(each=2)
+    with torch.no_grad(), subject.calling("latent_action(previous, current, following)"):
+        latent = reader.latent_action(shown.previous, shown.current, shown.next)
+    return bool((latent == latent[:1]).all())
 
 
 def _is_kept(subject: ModelTrial, model: ForwardModel[Any], *, seed: int = 0) -> bool:
@@ -54,8 +115,9 @@ def _is_kept(subject: ModelTrial, model: ForwardModel[Any], *, seed: int = 0) ->
     with subject.calling("load_state_dict"):
         kept.load_state_dict(model.state_dict())
     inputs = (subject.images(BATCH, 1), subject.images(BATCH, 2), subject.actions(BATCH))
-    with torch.inference_mode(), subject.calling(PREDICT):
-        return torch.allclose(model.eval().predict(*inputs), kept.predict(*inputs), rtol=0, atol=ROUNDING)
+    with torch.inference_mode(), subject.calling(subject.prediction):
+        before, after = (subject.look_ahead(one, *inputs) for one in (model.eval(), kept))
+    return torch.allclose(before, after, rtol=0, atol=ROUNDING)
 
 
 def tells_actions_apart(subject: ModelTrial, steps: int) -> bool:
@@ -63,9 +125,10 @@ def tells_actions_apart(subject: ModelTrial, steps: int) -> bool:
     model = _aligned(subject, steps=steps)
     previous, current, usual = subject.images(BATCH, 1), subject.images(BATCH, 2), subject.actions(BATCH)
     others = [other for shift in range(1, 4) if not torch.equal(other := subject.actions(BATCH, shift), usual)]
-    with torch.inference_mode(), subject.calling(PREDICT):
-        frames = model.predict(previous, current, usual)
-        return not others or any(not torch.equal(model.predict(previous, current, one), frames) for one in others)
+    with torch.inference_mode(), subject.calling(subject.prediction):
+        frames = subject.look_ahead(model, previous, current, usual)
+        apart = any(not torch.equal(subject.look_ahead(model, previous, current, one), frames) for one in others)
+    return not others or apart or _reads_one_latent(subject, model)
 
 
 def _two_aligned(subject: ModelTrial, *, steps: int) -> tuple[ForwardModel[Any], ForwardModel[Any]]:
@@ -80,22 +143,26 @@ def _aligned(subject: ModelTrial, *, steps: int, shift: int = 0) -> ForwardModel
     """A model after so many steps of training in each phase, aligned, in evaluation mode."""
     model = subject.build()
     for phase in model.phases():
-        with subject.calling(f"enter({phase.name!r})"):
-            model.train().enter(phase)
-        optimizer = torch.optim.Adam((one for one in model.parameters() if one.requires_grad), lr=1e-2)
-        for step in range(steps):
-            with subject.calling(f"progress({step / steps})"):
-                model.progress(step / steps)
-            losses = losses_of(
-                subject, model, batch_of(subject, phase), seed=step, of=f"after {step} steps of training"
-            )
-            with subject.calling("losses(batch).total.backward()"):
-                losses.total.backward()  # type: ignore[no-untyped-call]
-            optimizer.step()
-            optimizer.zero_grad()
+        _trained(subject, model, phase, steps)
         _require_entered_again(subject, model, phase)
     with torch.no_grad(), subject.calling("align(demonstrations)"):
         model.eval().align(subject.demonstrations(each=2, shift=shift))
+    return model
+
+
+def _trained(subject: ModelTrial, model: ForwardModel[Any], phase: Phase, steps: int) -> ForwardModel[Any]:
+    """The model after so many more steps, in a phase that it enters."""
+    with subject.calling(f"enter({phase.name!r})"):
+        model.train().enter(phase)
+    optimizer = torch.optim.Adam((one for one in model.parameters() if one.requires_grad), lr=1e-2)
+    for step in range(steps):
+        with subject.calling(f"progress({step / steps})"):
+            model.progress(step / steps)
+        losses = losses_of(subject, model, batch_of(subject, phase), seed=step, of=f"after {step} steps of training")
+        with subject.calling("losses(batch).total.backward()"):
+            losses.total.backward()  # type: ignore[no-untyped-call]
+        optimizer.step()
+        optimizer.zero_grad()
     return model
 
 

@@ -15,6 +15,7 @@ from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_encoding import Actions, as_tensor
 from dmotion_bench.learning.model import Demonstrations, ForwardModel, ModelInputs, TripletBatch
+from dmotion_bench.planning.dynamics.model import ModelDynamics
 
 BATCH: Final = 3
 """Images that a model is tried on at once."""
@@ -59,6 +60,11 @@ class ModelTrial:
             torch.manual_seed(seed)
             config = self.kind.configure(self.arch) if self.config is None else self.config
             model = self.kind(config, self.inputs)
+            self.require(
+                torch.initial_seed() == seed,
+                "__init__ seeds torch's generator, so all seeds of a training would begin with the same weights; leave "
+                "torch.manual_seed out, or call it within torch.random.fork_rng()",
+            )
             return model.laid_out(channels_last=True) if self.channels_last else model
 
     def images(self, count: int, seed: int) -> Float[Tensor, "n c h w"]:
@@ -106,6 +112,37 @@ class ModelTrial:
             next=self.images(count, 6),
             action=self.actions(count, shift),
         )
+
+    @property
+    def draws(self) -> bool:
+        """Whether its models draw frames; others are looked at by the features of their states."""
+        return self.kind.needs_pixels
+
+    @property
+    def predicts(self) -> tuple[str, str]:
+        """The method that a model predicts by, and what it gives one of."""
+        return ("predict", "frame") if self.draws else ("advance", "state")
+
+    @property
+    def prediction(self) -> str:
+        """A call of that method."""
+        return "predict(previous, current, action)" if self.draws else "advance(state, action)"
+
+    def look(self, model: ForwardModel[Any], state: Any) -> Float[Tensor, "n *d"]:
+        """What is compared of a state: its frame, or what planning compares for a model that draws none."""
+        return model.frame(state) if self.draws else ModelDynamics(model).features(state)
+
+    def look_ahead(
+        self,
+        model: ForwardModel[Any],
+        previous: Float[Tensor, "n c h w"],
+        current: Float[Tensor, "n c h w"],
+        action: Any,
+    ) -> Float[Tensor, "n *d"]:
+        """The same, one action later."""
+        if self.draws:
+            return model.predict(previous, current, action)
+        return self.look(model, model.advance(model.begin(previous, current), action))
 
     @contextlib.contextmanager
     def calling(self, method: str) -> Iterator[None]:

@@ -80,7 +80,7 @@ def run_scene(
 def _tab(run: Run, dataset: ReadableDataset, episode: int, note: str) -> Tab:
     root, name = f"/episode_{episode}", f"Episode {episode}" + (f" ({note})" if note else "")
     labels = labels_if_any(dataset, episode)
-    if not can_imagine(run.model, labels):
+    if not run.model.needs_pixels or not can_imagine(run.model, labels):
         return _video_alone(run, dataset, episode, name)
     seen = imagine(run.model, dataset.video(episode), labels, dataset.spec)
 
@@ -99,14 +99,16 @@ def _tab(run: Run, dataset: ReadableDataset, episode: int, note: str) -> Tab:
 
 
 def _video_alone(run: Run, dataset: ReadableDataset, episode: int, name: str) -> Tab:
-    """The scene of a model that cannot predict the episodes, because their actions are unknown: the video alone."""
+    """The scene of a model that draws no frames, or knows no actions of the episodes to predict by: the video alone."""
     root = f"/episode_{episode}"
-    text = (
-        f"**{run.name}**\n\n{_headline(run, dataset, episode)}\n\n"
+    why = (
         "The actions of this recording are not known, and this model predicts by actions alone: here is the video. "
         "How the training went is on the last tab. Import the recording again with its actions (*--actions TOPIC*) "
         "to see predictions."
+        if run.model.needs_pixels
+        else "This model draws no frames: here is the video. How the training went is on the last tab."
     )
+    text = f"**{run.name}**\n\n{_headline(run, dataset, episode)}\n\n{why}"
 
     def log(recording: rr.RecordingStream) -> None:
         log_images(recording, f"{root}/camera", dataset.video(episode))

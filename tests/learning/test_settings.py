@@ -134,6 +134,19 @@ def test_a_stored_value_that_a_config_refuses_is_a_sentence(stored: dict[str, in
 def test_a_setting_that_a_config_refuses_is_a_sentence() -> None:
     with pytest.raises(InvalidSetting, match=r"^--set maps=0 cannot be: there must be a map\.$"):
         with_settings(["maps=0"], Strict())
+    with pytest.raises(InvalidSetting, match=r"^--set depth=0 cannot be: no depth"):
+        with_settings(["depth=0"], Strict())
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class Listed:
+    widths: list[int] = dataclasses.field(default_factory=lambda: [8, 8])
+
+
+def test_a_field_that_no_text_says_is_named_with_its_type() -> None:
+    said = r"^widths cannot be set, since its type is list\[int\]; .* such as tuple\[int, ...\]\.$"
+    with pytest.raises(InvalidSetting, match=said):
+        with_settings(["widths=1,2"], Listed())
 
 
 class Kind(enum.StrEnum):

@@ -260,6 +260,19 @@ def test_training_it_again_says_so(package: Path, tmp_path: Path) -> None:
     assert f"delete {str(run.path)!r} first" in _told(run)
 
 
+def test_weights_that_do_not_fit_the_changed_code_are_not_called_damaged(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    (package / "parts.py").write_text("WIDTH = 5\n")
+    said = (
+        r"^the weights of 'one' do not fit its model 'edited', whose code was changed .*\(edited_models.parts\); undo"
+    )
+    with pytest.raises(RunCorrupt, match=said):
+        _ = run.model
+    run.best.write_bytes(run.best.read_bytes()[:-1])
+    with pytest.raises(RunCorrupt, match=r"Delete the .safetensors files of that folder"):
+        _ = run.model
+
+
 def test_an_attempt_that_failed_before_its_first_checkpoint_is_no_training(package: Path, tmp_path: Path) -> None:
     run = _trained(package, tmp_path / "runs" / "one")
     run.manifest["result"] = None

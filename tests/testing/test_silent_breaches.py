@@ -4,70 +4,16 @@ from __future__ import annotations
 
 import random
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 import torch
-from sound_models import Sound, SoundConfig, SoundVideo, breaks
+from sound_models import Reading, Recurrent, Sound, SoundVideo, breaks
 from torch import Tensor, nn
 
 from dmotion_bench.errors import ModelContractBroken
-from dmotion_bench.learning.model import ForwardModel, Losses
-from dmotion_bench.specs import Supervision
+from dmotion_bench.learning.model import Losses
 from dmotion_bench.testing import check_model
-
-
-class Recurrent(ForwardModel[SoundConfig]):
-    """Rolls out in a latent space, and offers all that makes planning faster."""
-
-    supervision: ClassVar[Supervision] = Supervision.ACTIONS
-    paper: ClassVar[str] = "Nobody: Nothing, 2026"
-    Config: ClassVar[type] = SoundConfig
-
-    def __init__(self, config, inputs) -> None:
-        super().__init__(config, inputs)
-        self.encoder = nn.Conv2d(6, 4, 1)
-        self.action = nn.Embedding(len(inputs.actions), 4)
-        self.decoder = nn.Conv2d(4, 3, 1)
-
-    def losses(self, batch):
-        state = self.advance(self.begin(batch.previous, batch.current), batch.action)
-        return Losses(total=(self.frame(state) - batch.next).square().mean())
-
-    def begin(self, previous, current):
-        return (self.encoder(torch.cat([previous, current], 1)),)
-
-    def advance(self, state, action):
-        return (torch.tanh(state[0] + self.action(action)[..., None, None]),)
-
-    def frame(self, state):
-        return self.decoder(state[0]).float()
-
-    def branch(self, state, parent, action):
-        return self.advance((state[0][parent],), action)
-
-    def pixels(self, state):
-        return ((self.frame(state).clamp(-1, 1) + 1) * 127.5).round().to(torch.uint8).movedim(1, -1)
-
-    def features(self, state):
-        return state[0].flatten(1)
-
-    def embedding(self, state):
-        return state[0]
-
-
-class Reading(SoundVideo):
-    """Tells which latent action it reads off frames."""
-
-    def latent_action(self, previous, current, following):
-        return self._code(current, following)
-
-    def predict_with_latent(self, previous, current, latent):
-        return self._coded(previous, current, latent)
-
-    def branch_with_latent(self, state, parent, latent):
-        previous, current = (part[parent] for part in state)
-        return current, self._coded(previous, current, latent)
 
 
 @pytest.mark.parametrize("kind", [Recurrent, Reading])

@@ -136,3 +136,14 @@ def test_without_places_the_table_has_no_empty_columns(run: Run, actions_alone: 
     (text,) = static(rrd, "/episode_0/about", "TextDocument:text")
     assert "| mean of this episode | MSE |\n" in text
     assert "| - |" not in text
+
+
+def test_of_a_model_that_draws_no_frames_there_is_the_video(
+    run: Run, dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(type(run.model), "needs_pixels", False)
+    rrd = tmp_path / "scene.rrd"
+    write_scene(run_scene(run, dataset, [0]), rrd)
+    assert names_of_views(rrd) >= {"What really happens", "What you see"}
+    assert "Predicted one step ahead" not in names_of_views(rrd)
+    assert "This model draws no frames: here is the video." in static(rrd, "/episode_0/about", "TextDocument:text")[0]

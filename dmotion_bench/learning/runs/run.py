@@ -352,7 +352,17 @@ class Run:
         """
         self._require_result()
         with torch.inference_mode(False):  # whoever asks for it first, it can be trained further
-            weights = self._weights(self.forms(self.best))
+            try:
+                weights = self._weights(self.forms(self.best))
+            except RunCorrupt as error:
+                if names := self.changed_modules:
+                    self.weights()  # raises if they are damaged; else they are to be kept
+                    raise RunCorrupt(
+                        f"the weights of {self.name!r} do not fit its model {self.spec.model!r}, whose code was "
+                        f"changed since it was trained ({', '.join(names)}); undo the change to use them, or train the "
+                        "model as it is now in a new run (--out DIR)."
+                    ) from error
+                raise
             model = self.spec.build()
             try:
                 model.load_state_dict(weights)

@@ -11,7 +11,6 @@ are those of a single process, and so is the checkpoint: a run may go on with an
 from __future__ import annotations
 
 import contextlib
-import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -21,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import torch
 
-from dmotion_bench.errors import RunError, UsageError
+from dmotion_bench.errors import UsageError
 from dmotion_bench.interrupts import stop_between_steps
 from dmotion_bench.learning.data.curriculum import Part, TrainingData, demonstrations_of, parts_of, steps_before_labels
 from dmotion_bench.learning.hardware.fabric_setup import set_up
@@ -41,7 +40,7 @@ from dmotion_bench.learning.training.samples import write_sample
 from dmotion_bench.learning.training.state import TrainingState
 from dmotion_bench.learning.training.step import Stepper
 from dmotion_bench.learning.training.tracking import tracked
-from dmotion_bench.learning.training.validation import validation_losses, validation_picture, why_not_finite
+from dmotion_bench.learning.training.validation import require_finite, validation_losses, validation_picture
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.atomic import remove_leftovers, write_atomically
 from dmotion_bench.storage.lock import held
@@ -220,7 +219,9 @@ class _Trainer:
                     if self.state.step % log_every == 0 or self.state.step == part.stop:
                         everybodys = self.companions.summed(self.state.row.sums)
                         counted = self.state.row.steps * self.companions.world
-                        self._write(log, {name: total / counted for name, total in everybodys.items()})
+                        means = {name: total / counted for name, total in everybodys.items()}
+                        self._write(log, means)
+                        require_finite(self.model, means["loss"], self.state.step, validated=False)
                         self.state.row = NextRow()
                     validated = self.state.step % validate_every == 0 or self.state.step == part.stop
                     if validated:
@@ -279,8 +280,7 @@ class _Trainer:
         with chosen:
             self.model.eval()
             means = validation_losses(self.model, part, self.companions, self.conditions.precision, self.fabric.device)
-            if not math.isfinite(means["loss"]):
-                raise RunError(why_not_finite(self.model, means["loss"], self.state.step))
+            require_finite(self.model, means["loss"], self.state.step, validated=True)
             if self.state.is_lower(means["loss"]):
                 self._save_best()
             self._sample()

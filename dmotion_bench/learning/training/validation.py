@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from jaxtyping import Int, UInt8
 
+from dmotion_bench.errors import RunError
 from dmotion_bench.learning.data.curriculum import Part
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.hardware.precision import Precision, autocast
@@ -56,7 +57,7 @@ def why_not_finite(model: ForwardModel[Any], loss: float, step: int) -> str:
         loss: What came out.
         step: After which.
     """
-    if all(bool(weight.isfinite().all()) for weight in model.parameters()):
+    if _are_finite(model):
         return (
             f"the validation loss is {loss} after step {step}, although all weights are finite: "
             f"{type(model).__qualname__}.losses gives no finite number in evaluation mode, or for some frames."
@@ -65,6 +66,26 @@ def why_not_finite(model: ForwardModel[Any], loss: float, step: int) -> str:
         f"training diverged before step {step}: the loss is {loss}. "
         "Try a lower rate, such as --set learning_rate=0.0005, in a new run (--out DIR)."
     )
+
+
+def require_finite(model: ForwardModel[Any], loss: float, step: int, *, validated: bool) -> None:
+    """Stop a training whose validation loss is no number, or whose weights are none: no step brings them back.
+
+    Args:
+        model: As it is trained.
+        loss: Of the validation, or the mean of the last steps.
+        step: Of the training.
+        validated: Whether it is that of the validation; of a step it may be infinite as long as the weights are finite.
+
+    Raises:
+        RunError: It is not finite.
+    """
+    if not math.isfinite(loss) and (validated or not _are_finite(model)):
+        raise RunError(why_not_finite(model, loss, step))
+
+
+def _are_finite(model: ForwardModel[Any]) -> bool:
+    return all(bool(weight.isfinite().all()) for weight in model.parameters())
 
 
 def validation_picture(

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import copy
+import shutil
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
+from dmotion_bench.errors import RunMismatch
+from dmotion_bench.pairing import compare_runs
+from dmotion_bench.workspace import Workspace
 from leaderboard.board import make_boards
 from leaderboard.board_tables import board_section
 from leaderboard.entry import Entry
@@ -253,3 +257,18 @@ def test_pictures_of_other_steps_hide_nobody_s(sound: Entry, result: MakeEntry) 
     assert board.rows[0].name == "odd"
     assert shown.count("<span>a</span>") == shown.count("<span>b</span>") == len(own)
     assert "<span>odd</span>" not in shown
+
+
+def test_copies_of_one_training_are_not_several(workspace: Workspace) -> None:
+    """The mean of copies would have the interval of trainings that all agree."""
+    first, other = (workspace.runs / f"dmotion-grid_world-tiny-s{seed}" for seed in (0, 1))
+    copied = first.with_name(first.name.replace("-s0", "-s2"))
+    shutil.copytree(first, copied)
+    for name in ("run.json", "report/report.json"):
+        text = (copied / name).read_text()
+        (copied / name).write_text(text.replace('"seed": 0,', '"seed": 2,', 1).replace(first.name, copied.name))
+
+    with pytest.raises(
+        RunMismatch, match=f"{first.name}' and '{copied.name}' have the same weights, so they are one training"
+    ):
+        compare_runs([first, copied], other)

@@ -12,6 +12,7 @@ from dmotion_bench.api.settings import require_one_of
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.errors import Interrupted
+from dmotion_bench.wording import counted
 
 if TYPE_CHECKING:
     from dmotion_bench.storage.exports.lerobot import ExportReport
@@ -82,10 +83,11 @@ def _summary(report: ExportReport) -> str:
         loss = f"loses an MSE of {report.mse:.3f} (PSNR {report.psnr:.1f} dB, at worst {report.largest_error} of 255)"
     else:
         loss = "is lossless (MSE 0, every frame decoded and compared)"
+    held = f"{counted(report.episodes, 'episode')}, {counted(report.frames, 'frame')}"
     return "\n".join(
         [
             f"{report.path}",
-            f"  {report.episodes} episodes, {report.frames} frames{', with actions' if report.labels else ''}",
+            f"  {held}{', with actions' if report.labels else ''}",
             f"  the video ({report.codec}, {report.video_bytes / max(report.frames, 1):.0f} bytes a frame) {loss}",
         ]
     )

@@ -12,7 +12,7 @@ from dmotion_bench.cli.jobs import executor_option, workers_option
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.errors import Interrupted
-from dmotion_bench.wording import command, sentence
+from dmotion_bench.wording import command, counted, sentence
 from dmotion_bench.workspace import Workspace
 
 if TYPE_CHECKING:
@@ -198,8 +198,8 @@ def _rate(report: ImportReport) -> str:
 def _summary(report: ImportReport, size: int, hz: float, fit: str) -> str:
     lines = [
         f"{report.path}",
-        f"  {report.episodes} episodes, {report.frames} frames of {size}x{size} pixels at "
-        f"{hz:g} Hz, from {report.source_frames} pictures of {report.source_width}x{report.source_height}"
+        f"  {counted(report.episodes, 'episode')}, {counted(report.frames, 'frame')} of {size}x{size} pixels at "
+        f"{hz:g} Hz, from {counted(report.source_frames, 'picture')} of {report.source_width}x{report.source_height}"
         f"{_rate(report)}",
     ]
     width, height = report.source_width, report.source_height
@@ -212,13 +212,15 @@ def _summary(report: ImportReport, size: int, hz: float, fit: str) -> str:
         )
     if report.repeated:
         lines.append(
-            f"  {report.repeated} frames repeat the one before, as no newer picture had come; "
+            f"  {counted(report.repeated, 'frame')} like the one before, as no newer picture had come; "
             "a lower '--hz' has fewer of them"
         )
     if report.unreadable:
-        lines.append(f"  {report.unreadable} damaged pictures: the ones before them are in their place")
+        lines.append(f"  {counted(report.unreadable, 'damaged picture')}: in place of each stands the one before it")
     if report.left_out:
-        lines.append(f"  {report.left_out} frames are left out: their episodes were too short, or had no action yet")
+        lines.append(
+            f"  {counted(report.left_out, 'frame')} left out: of episodes too short, or before the first action"
+        )
     if report.actions is not None:
         lines.append(f"  actions, held out as labels: {report.actions}")
     else:

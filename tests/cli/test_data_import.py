@@ -96,7 +96,7 @@ def test_what_the_pictures_are_and_what_a_frame_shows_of_them(workspace: Path) -
 def test_video_without_labels_is_exported_alone(workspace: Path) -> None:
     typed("import", foxglove_file(workspace / "a.mcap", video(6, 16, 16), steady(6)), "--size", "16")
     done = typed("export", "--codec", "av1")
-    assert "1 episodes, 6 frames\n" in done.stdout
+    assert "1 episode, 6 frames\n" in done.stdout
     assert "loses an MSE of" in done.stdout
 
 

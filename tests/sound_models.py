@@ -124,6 +124,16 @@ class Reading(SoundVideo):
         return current, self._coded(previous, current, latent)
 
 
+def begun_with(extra: Any, base: type = Sound) -> Any:
+    """An ``__init__`` that does something besides that of another model."""
+
+    def init(self: Any, config: Any, inputs: Any) -> None:
+        base.__init__(self, config, inputs)
+        extra(self)
+
+    return init
+
+
 def breaks(base: type, **changes: Any) -> type:
     """A class that does something else than ``base``."""
     return type("Broken", (base,), changes)

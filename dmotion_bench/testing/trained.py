@@ -160,7 +160,7 @@ def _trained(subject: ModelTrial, model: ForwardModel[Any], phase: Phase, steps:
             model.progress(step / steps)
         losses = losses_of(subject, model, batch_of(subject, phase), seed=step, of=f"after {step} steps of training")
         with subject.calling("losses(batch).total.backward()"):
-            losses.total.backward()  # type: ignore[no-untyped-call]
+            torch.autograd.backward(losses.total)
         optimizer.step()
         optimizer.zero_grad()
     return model

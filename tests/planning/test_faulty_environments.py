@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ class Faulty(Sliding):
 
 
 def _solved(who: str, objective: str | None, **faults: Any) -> None:
-    make = lambda: Faulty(**faults)  # noqa: E731 -- what makes environments is a function
+    make = partial(Faulty, **faults)
     agent = make_reference(who, FACTS, make, make_solver("icem", FEW), objective and make_objective(objective))
     control(agent, [problem(0, Sliding())], make, ControlSettings(steps=4))
 

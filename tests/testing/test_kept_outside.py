@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 import torch
-from sound_models import Reading, Recurrent, Sound, SoundVideo, breaks
+from sound_models import Reading, Recurrent, Sound, SoundVideo, begun_with, breaks
 from torch import nn
 
 from dmotion_bench.errors import ModelContractBroken
@@ -27,7 +27,8 @@ class Blind(Recurrent):
     def frame(self, state):
         raise AssertionError("nobody should look")
 
-    branch = pixels = None  # type: ignore[assignment]
+    branch: Any = None
+    pixels: Any = None
 
 
 class OneCode(Reading):
@@ -40,14 +41,6 @@ class OneCode(Reading):
 @pytest.mark.parametrize("kind", [Blind, OneCode])
 def test_what_is_sound_is_neither_a_breach_nor_a_warning(kind: type) -> None:
     check_model(kind, size=16)
-
-
-def _with(extra: Any, base: type = Sound) -> Any:
-    def init(self: Any, config: Any, inputs: Any) -> None:
-        base.__init__(self, config, inputs)
-        extra(self)
-
-    return init
 
 
 def _listed_blind(self: Any) -> None:
@@ -88,13 +81,13 @@ BREACHES: dict[str, tuple[type, str]] = {
     "teacher in a list": (
         breaks(
             Sound,
-            __init__=_with(lambda self: setattr(self, "teacher", [copy.deepcopy(self.layer)])),
+            __init__=begun_with(lambda self: setattr(self, "teacher", [copy.deepcopy(self.layer)])),
             losses=_teaches,
         ),
         GOING_ON,
     ),
     "losses of every step": (
-        breaks(Sound, __init__=_with(lambda self: setattr(self, "kept", [])), losses=_keeps),
+        breaks(Sound, __init__=begun_with(lambda self: setattr(self, "kept", [])), losses=_keeps),
         r"losses\(batch\) keeps tensors of an earlier batch in the phase 'train', so memory grows",
     ),
     "one seed for all": (
@@ -102,15 +95,15 @@ BREACHES: dict[str, tuple[type, str]] = {
         r"__init__ seeds torch's generator, so all seeds .* the same",
     ),
     "layer with the name of an optional method": (
-        breaks(Sound, __init__=_with(lambda self: setattr(self, "features", nn.Conv2d(3, 3, 1)))),
+        breaks(Sound, __init__=begun_with(lambda self: setattr(self, "features", nn.Conv2d(3, 3, 1)))),
         r"its attribute 'features' is of the type Conv2d; this is the name of a method that a model may offer",
     ),
     "number with the name of an optional method": (
-        breaks(Sound, __init__=_with(lambda self: setattr(self, "embedding", 16))),
+        breaks(Sound, __init__=begun_with(lambda self: setattr(self, "embedding", 16))),
         r"its attribute 'embedding' is of the type int",
     ),
     "layer with the name of a method": (
-        breaks(Sound, __init__=_with(lambda self: setattr(self, "frame", nn.Conv2d(3, 3, 1)))),
+        breaks(Sound, __init__=begun_with(lambda self: setattr(self, "frame", nn.Conv2d(3, 3, 1)))),
         r"its layer 'frame' has the name of an attribute of the class, which hides it",
     ),
     "labels that nobody asked for": (
@@ -138,7 +131,7 @@ BREACHES: dict[str, tuple[type, str]] = {
     "list of layers, without frames": (
         breaks(
             Blind,
-            __init__=_with(_listed_blind, Blind),
+            __init__=begun_with(_listed_blind, Blind),
             advance=lambda self, s, a: (self.more[0](Recurrent.advance(self, s, a)[0]),),
         ),
         r"advance gives other states once its weights are saved and loaded",

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import pytest
 import torch
-from sound_models import Reading, Recurrent, Sound, SoundVideo, breaks
+from sound_models import Reading, Recurrent, Sound, SoundVideo, begun_with, breaks
 from torch import Tensor, nn
 
 from dmotion_bench.errors import ModelContractBroken
@@ -19,14 +19,6 @@ from dmotion_bench.testing import check_model
 @pytest.mark.parametrize("kind", [Recurrent, Reading])
 def test_what_a_model_may_offer_besides_is_no_breach(kind: type) -> None:
     check_model(kind, size=16)
-
-
-def _with(extra: Any, base: type = Sound) -> Any:
-    def init(self: Any, config: Any, inputs: Any) -> None:
-        base.__init__(self, config, inputs)
-        extra(self)
-
-    return init
 
 
 def _listed(self: Any) -> None:
@@ -98,11 +90,11 @@ class _Training:
 LOST = r"predict gives other frames once its weights are saved and loaded .*: layers in a list in nn.ModuleList"
 BREACHES: dict[str, tuple[type, str]] = {
     "list of layers": (
-        breaks(Sound, __init__=_with(_listed), predict=lambda self, *a: self.more[0](Sound.predict(self, *a))),
+        breaks(Sound, __init__=begun_with(_listed), predict=lambda self, *a: self.more[0](Sound.predict(self, *a))),
         LOST,
     ),
     "random numbers outside the state": (
-        breaks(Sound, __init__=_with(_random), predict=lambda self, *a: Sound.predict(self, *a) * self.frequency),
+        breaks(Sound, __init__=begun_with(_random), predict=lambda self, *a: Sound.predict(self, *a) * self.frequency),
         LOST,
     ),
     "learned number outside the state": (
@@ -251,7 +243,7 @@ BREACHES: dict[str, tuple[type, str]] = {
         r"its state_dict\(\) holds '_extra_state', a dict; a checkpoint holds tensors alone",
     ),
     "lazy layer": (
-        breaks(Sound, __init__=_with(lambda self: setattr(self, "layer", nn.LazyConv2d(3, 3, padding=1)))),
+        breaks(Sound, __init__=begun_with(lambda self: setattr(self, "layer", nn.LazyConv2d(3, 3, padding=1)))),
         r"its weights 'layer.weight' have no shape before the first batch",
     ),
     "setting of another type": (
@@ -278,5 +270,5 @@ def test_every_silent_breach_is_said(name: str) -> None:
 
 
 def test_a_buffer_may_hold_no_numbers_until_the_model_is_aligned() -> None:
-    empty = _with(lambda self: self.register_buffer("known", torch.full((2,), torch.nan)))
+    empty = begun_with(lambda self: self.register_buffer("known", torch.full((2,), torch.nan)))
     check_model(breaks(Sound, __init__=empty), size=16)

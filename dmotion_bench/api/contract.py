@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping
 
 from dmotion_bench.entry_points import MODELS, is_built_in
 from dmotion_bench.errors import DmbenchError, ModelContractBroken
+from dmotion_bench.learning.hardware.precision import may_use_bf16
 from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run
 from dmotion_bench.learning.settings import from_json
@@ -47,7 +48,7 @@ def breaches_before(
         with contextlib.suppress(Exception):  # a stranger's class may raise anything where it is configured
             run = open_run(request, dataset, None, workspace)
             spec = run.spec
-            trial = (spec.model, spec.arch, spec.inputs, spec.config)
+            trial = (spec.model, spec.arch, spec.inputs, spec.config, spec.training_config.precision)
             if run.result is None and trial not in tried:
                 tried.append(trial)
                 if (breach := breach_before(run)) is not None:
@@ -58,7 +59,8 @@ def breaches_before(
 def _breach(spec: RunSpec) -> ModelContractBroken | None:
     kind = model_class(spec.model)
     try:
-        check_before_training(kind, spec.arch, spec.inputs, from_json(kind.Config, spec.config))
+        bf16 = may_use_bf16(spec.training_config.precision)
+        check_before_training(kind, spec.arch, spec.inputs, from_json(kind.Config, spec.config), bf16=bf16)
     except ModelContractBroken as error:
         return error
     return None

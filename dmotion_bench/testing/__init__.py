@@ -84,7 +84,7 @@ def check_model(
     arch = arch or kind.architectures[0]
     spec = specified(actions)
     subject = ModelTrial(kind, arch, _inputs_taken(kind, arch, SIZES if size is None else (size,), spec))
-    _check(subject)
+    _check(subject, bf16=True)
     if not any(tells_actions_apart(subject, steps) for steps in (0, WARM_UP)):
         named, given = subject.predicts
         warnings.warn(
@@ -94,7 +94,9 @@ def check_model(
         )
 
 
-def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs, config: Any = None) -> None:
+def check_before_training(
+    kind: type[ForwardModel[Any]], arch: str, inputs: ModelInputs, config: Any = None, *, bf16: bool = True
+) -> None:
     """As ``check_model``, on the frames, the actions and the settings of a training.
 
     Args:
@@ -102,6 +104,7 @@ def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: Mode
         arch: The architecture that is trained.
         inputs: What the model is to be trained for; actions that are not known are taken to be four.
         config: Of the model; the architecture's default if left out.
+        bf16: Whether the training may compute in bfloat16; on hardware without it that takes half of the check's time.
 
     Raises:
         ModelContractBroken: At the first breach.
@@ -109,16 +112,17 @@ def check_before_training(kind: type[ForwardModel[Any]], arch: str, inputs: Mode
     check_class(kind)
     told = dataclasses.replace(inputs, actions=inputs.actions or Discrete.numbered(4))
     with torch.random.fork_rng():
-        _check(ModelTrial(kind, arch, told, config=config))
+        _check(ModelTrial(kind, arch, told, config=config), bf16=bf16)
 
 
-def _check(subject: ModelTrial) -> None:
+def _check(subject: ModelTrial, *, bf16: bool) -> None:
     kind = subject.kind
     check_settings(kind)
     check_building(subject)
     check_phases(subject)
+    channels_last = any(kind.training_defaults(preset, subject.arch).channels_last for preset in Preset)
     for phase in subject.build().phases():
-        check_losses(subject, phase)
+        check_losses(subject, phase, bf16=bf16 and not channels_last)
         check_validation(subject, phase)
     check_memory(subject)
     check_optimizer(subject)
@@ -128,10 +132,10 @@ def _check(subject: ModelTrial) -> None:
     check_checkpoint(subject)
     check_going_on(subject)
     check_optional_methods(subject)
-    if any(kind.training_defaults(preset, subject.arch).channels_last for preset in Preset):
+    if channels_last:
         packed = ModelTrial(kind, subject.arch, subject.inputs, channels_last=True, config=subject.config)
         for phase in packed.build().phases():
-            check_losses(packed, phase)
+            check_losses(packed, phase, bf16=bf16)
         check_rollout(packed)
 
 

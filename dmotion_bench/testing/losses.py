@@ -117,8 +117,13 @@ def _require_tensor(subject: ModelTrial, name: str, value: Any) -> None:
     subject.require(isinstance(value, Tensor), f"losses(batch).{name} is a {type(value).__name__}, not a tensor")
 
 
-def check_losses(subject: ModelTrial, phase: Phase) -> None:
-    """Check losses in training: finite, differentiable, repeatable, in bfloat16, and independent of unpaid labels."""
+def check_losses(subject: ModelTrial, phase: Phase, *, bf16: bool) -> None:
+    """Check losses in training: finite, differentiable, repeatable, and independent of unpaid labels.
+
+    Args:
+        subject, phase: What is checked.
+        bf16: Whether they are computed in bfloat16, too.
+    """
     batch = batch_of(subject, phase)
     model = entered(subject, phase, training=True)
     for share in (0.0, 0.5, 0.999):
@@ -155,6 +160,8 @@ def check_losses(subject: ModelTrial, phase: Phase) -> None:
         subject.require(
             torch.equal(blind.total, seeing.total), "its supervision is NONE but losses(batch) depends on batch.action"
         )
+    if not bf16:
+        return
     halved = entered(subject, phase, training=True)
     with torch.autocast("cpu", torch.bfloat16):
         _gradients(subject, halved, losses_of(subject, halved, batch, of="in bfloat16, under torch.autocast"))

@@ -18,7 +18,7 @@ from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.execution.local_executor import SerialExecutor
 from dmotion_bench.learning.model import Losses, ModelInputs, TripletBatch
 from dmotion_bench.learning.runs.run import RunSpec
-from dmotion_bench.learning.runs.start import TrainingRequest
+from dmotion_bench.learning.runs.start import TrainingRequest, open_run
 from dmotion_bench.learning.training.table import Row
 from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
@@ -63,6 +63,29 @@ def test_what_the_models_file_did_not_raise_stays_as_it_is(monkeypatch: pytest.M
         raise ZeroDivisionError
     with pytest.raises(KeyError), explaining("dmotion", None):  # a model of ours: the whole traceback is wanted
         _fail()
+
+
+class Cautious(Learning):
+    """Fails where matrices are multiplied in bfloat16, and nowhere else."""
+
+    def losses(self, batch: TripletBatch) -> Losses:
+        if torch.is_autocast_enabled("cpu"):
+            raise KeyError("halved")
+        return Losses(total=(self.weight * batch.current).square().mean() + self.weight.sum())
+
+
+@pytest.mark.parametrize("has_bf16", [False, True])
+@pytest.mark.parametrize("asked", ["auto", "bf16", "float32"])
+def test_bfloat16_is_tried_before_a_training_that_may_compute_in_it(
+    asked: str, has_bf16: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("dmotion_bench.learning.hardware.precision.has_bf16", lambda _: has_bf16)
+    monkeypatch.setattr("dmotion_bench.entry_points._ADDED", {})
+    dm.register_model("cautious", Cautious)
+    dataset = Dataset.open(record_walks(tmp_path / "data" / "walk-tiny"))
+    request = TrainingRequest(model="cautious", preset=Preset.TINY, settings=(f"precision={asked}",))
+    breach = contract.breach_before(open_run(request, dataset, None, Workspace(tmp_path)))
+    assert ("KeyError in bfloat16" in str(breach)) == (has_bf16 and asked != "float32")
 
 
 @pytest.mark.slow

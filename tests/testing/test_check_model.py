@@ -15,7 +15,7 @@ from torch import nn
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.errors import InvalidSetting, ModelContractBroken
-from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig
+from dmotion_bench.learning.model import ForwardModel, Losses, ModelInputs, Phase, TrainingConfig, TripletBatch
 from dmotion_bench.specs import Supervision
 from dmotion_bench.testing import check_before_training, check_model
 
@@ -94,6 +94,29 @@ def test_channels_last_is_tried_where_the_training_asks_for_it() -> None:
     said = r"on channels-last images, which its training_defaults ask for .*: losses\(batch\) raised RuntimeError: view"
     with pytest.raises(ModelContractBroken, match=said):
         check_model(breaks(OlderNetwork, training_defaults=packed), size=16)
+
+
+@pytest.mark.parametrize("channels_last", [False, True])
+def test_bfloat16_is_tried_once_in_the_layout_of_the_training_unless_it_cannot_come(
+    channels_last: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On a processor that only emulates it, it would take longer than all the rest."""
+    seen: list[tuple[bool, bool]] = []
+
+    def losses(self: Any, batch: TripletBatch) -> Losses:
+        packed = batch.current.is_contiguous(memory_format=torch.channels_last)
+        seen.append((torch.is_autocast_enabled("cpu"), packed))
+        return Sound.losses(self, batch)
+
+    packed = classmethod(lambda kind, preset, arch: TrainingConfig(epochs=1, channels_last=channels_last))
+    kind = breaks(Sound, training_defaults=packed, losses=losses)
+    inputs = ModelInputs(height=16, width=16, actions=Discrete.numbered(4))
+    check_before_training(kind, "compact", inputs)
+    assert [layout for halved, layout in seen if halved] == [channels_last]
+    seen.clear()
+    check_before_training(kind, "compact", inputs, bf16=False)
+    assert seen
+    assert not any(halved for halved, _ in seen)
 
 
 def _raises(self: Any, *_: Any) -> None:

@@ -35,6 +35,16 @@ def settled(asked: str, steps: int, device: torch.device) -> Precision | None:
     return "bf16" if asked == "bf16" or steps < FEWEST_STEPS else None
 
 
+def may_use_bf16(asked: str) -> bool:
+    """Whether a training computes in bfloat16 on any device of this machine, or measures whether it should.
+
+    Args:
+        asked: One of ``CHOICES``.
+    """
+    kinds = ("cpu", "cuda") if torch.cuda.is_available() else ("cpu",)
+    return any(settled(asked, FEWEST_STEPS, torch.device(kind)) != "float32" for kind in kinds)
+
+
 def has_bf16(device: torch.device) -> bool:
     """Whether the hardware multiplies bfloat16 matrices by itself; emulated, it is slower than float32."""
     if device.type == "cuda":

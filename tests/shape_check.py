@@ -1,6 +1,6 @@
 """Shape annotations are checked at the first calls of a function in each test, and ever more rarely after them.
 
-A check costs more than most small functions do. Of each function a test checks the first eight calls and those whose
+A check costs more than most small functions do. Of each function a test checks the first two calls and those whose
 number is a power of two. What is checked does therefore not depend on other tests. An int may stand where a float is
 asked for, as in PEP 484.
 """
@@ -16,7 +16,7 @@ from typing import Any
 import beartype as _beartype
 import jaxtyping
 
-FIRST = 8
+FIRST = 2
 _calls: Counter[CodeType] = Counter()
 _every_call = jaxtyping.jaxtyped
 beartype = _beartype.beartype(conf=_beartype.BeartypeConf(is_pep484_tower=True))

@@ -27,6 +27,7 @@ from object_storage import object_storage
 from pretend_slurm import use_slurm
 from storage.foreign import foxglove_file, steady, video
 from test_documentation import MODELS, PAGES, ROOT, _commands, _is_example
+from torch import nn
 from walk import BLOCK, assert_printed, run_python, save, steps
 
 from baselines import dmotion_paper
@@ -137,6 +138,10 @@ def _few_gains(model: Any, dataset: Any, split: Any, scoring: GainScoring, how: 
     return gain_tables(model, dataset, split, replace(scoring, moments=2, sequences=4), how)
 
 
+def _thin_deconvolution(before: int, after: int, stride: int = 1) -> nn.Sequential:
+    return nn.Sequential(nn.Upsample(scale_factor=stride), _conv(before, after, 3))
+
+
 def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
     patch.setattr(start, "with_settings", _shorter_training)
     if planning:
@@ -148,6 +153,7 @@ def _shorten(patch: pytest.MonkeyPatch, *, planning: bool = True) -> None:
     patch.setattr("dmotion_bench.scoring.score.gain_tables", _few_gains)
     patch.setattr(dmotion_paper, "MAP_SIZE", 8)  # of 64: the layers are most of what a scoring computes
     patch.setattr(dmotion_paper, "_conv", lambda before, after, kernel=5, stride=1: _conv(before, after, 3, stride))
+    patch.setattr(dmotion_paper, "_deconv", _thin_deconvolution)
     patch.setattr(demonstration, "EPISODES", 12)
     patch.setattr(demonstration, "EPOCHS", 0.01)
     patch.delenv("DMBENCH_WORKSPACE", raising=False)

@@ -29,7 +29,7 @@ def _is_found() -> bool:
 def test_the_first_calls_of_each_test_are_checked_and_then_ever_fewer() -> None:
     for _ in range(2):
         found = [number for number in range(1, 101) if _is_found()]
-        assert found == [1, 2, 3, 4, 5, 6, 7, 8, 16, 32, 64]
+        assert found == [1, 2, 4, 8, 16, 32, 64]
         shape_check.begin_test()
 
 
@@ -47,7 +47,7 @@ def test_functions_that_are_made_again_and_again_are_counted_together() -> None:
             made()
         except jaxtyping.TypeCheckError:
             found += 1
-    assert found == 11
+    assert found == 7
 
 
 def test_what_the_benchmark_is_given_is_checked() -> None:

@@ -87,7 +87,8 @@ def check_memory(subject: ModelTrial) -> None:
         held = [weakref.ref(one) for one in (first.current, first.next, losses.total)]
         del first, losses
         losses_of(subject, model, batch_of(subject, phase))
-        gc.collect()
+        if any(one() is not None for one in held):
+            gc.collect()  # they may wait for it in a cycle; it takes a second where many objects live
         subject.require(
             all(one() is None for one in held),
             f"losses(batch) keeps tensors of an earlier batch in the phase {phase.name!r}, so memory grows with every "

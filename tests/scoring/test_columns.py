@@ -250,7 +250,7 @@ def test_the_test_tasks_of_planar_push_are_those_of_the_protocol(
     recipe = recipe_for(
         "planar_push", episodes=TEST.episodes, frames=101, tasks=100, seed=TEST.seed, settings=settings.split()
     )
-    record_dataset(tmp_path / "drawn", replace(recipe, episodes=20))
+    record_dataset(tmp_path / "drawn", replace(recipe, episodes=5))
     blank = np.zeros((128, 128, 3), np.uint8), np.zeros((128, 128), np.uint8)
     monkeypatch.setattr(PlanarPush, "_draw", lambda _: blank)
     record_dataset(tmp_path / "test", recipe)

@@ -104,7 +104,7 @@ def check_before_training(
         arch: The architecture that is trained.
         inputs: What the model is to be trained for; actions that are not known are taken to be four.
         config: Of the model; the architecture's default if left out.
-        bf16: Whether the training may compute in bfloat16; on hardware without it that takes half of the check's time.
+        bf16: Whether the training may compute in bfloat16; hardware without it takes long for that.
 
     Raises:
         ModelContractBroken: At the first breach.

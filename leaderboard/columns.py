@@ -54,15 +54,19 @@ _SINGLE: Final = (
         figure="position_error_paper",
         heading=POSITION_CHARGED,
         unit="px",
-        meaning="Distance of the objects' centres; one missing in the prediction is charged its distance to (-1, -1).",
+        meaning="Distance of the centres of objects and coloured agents; a missing one is charged its own to (-1, -1).",
     ),
     Column(
         figure="position_error",
         heading=POSITION_FOUND,
         unit="px",
-        meaning="Distance of the objects' centres, over objects found in both frames.",
+        meaning="Distance of the centres of objects and coloured agents, over those found in both frames.",
     ),
-    Column(figure="miss_rate", heading="Missed", meaning="Share of the objects that the prediction does not show."),
+    Column(
+        figure="miss_rate",
+        heading="Missed",
+        meaning="Share of the objects and coloured agents that the prediction does not show.",
+    ),
 )
 UNWANTED: Final = {
     "agent_place": "agent's place",

@@ -25,6 +25,7 @@ from dmotion_bench.scoring.samples import (
     GAIN,
     IDENTIFICATION_COLUMNS,
     PICTURE_CONTROL,
+    RANK_COLUMNS,
     column,
 )
 from dmotion_bench.scoring.statistics import Estimate
@@ -165,7 +166,9 @@ def differences(first: Sequence[pa.Table], second: Sequence[pa.Table]) -> Iterat
             parts += [(f"{name}[{step}]", "control_distance", ahead == step) for step in steps if step > 0]
             parts += [(name, name, ahead == ahead.max()) for name in _ENDED if metric == CONTROL]
         else:
-            parts += [(f"rollout_{name}[{step}]", name, ahead == step) for name in ROLLOUT_COLUMNS for step in steps]
+            alike = all(len(table) == len(one) for table in chosen)  # a rank is among the rollouts of its own scoring
+            names = [name for name in ROLLOUT_COLUMNS if alike or name not in RANK_COLUMNS]
+            parts += [(f"rollout_{name}[{step}]", name, ahead == step) for name in names for step in steps]
         wholes = _values(one, "best_gain") if metric == GAIN else everything.astype(np.float64)
         for figure, name, rows in parts:
             values = np.stack([_values(table, name)[rows] for table in tables])

@@ -118,7 +118,8 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
     """Ask a model about every held-out triplet, in the order of ``held_out.batches``.
 
     Raises:
-        ModelContractBroken: A latent action, or a map of an agent, holds NaN or infinity; or its codes cannot be.
+        ModelContractBroken: A latent action, a map of an agent or a shift holds NaN or infinity; or its codes cannot
+            be.
     """
     motions, together, overlaps, shift_errors, actions, episodes, steps = [], [], [], [], [], [], []
     codes = list[Tensor]()
@@ -200,6 +201,7 @@ def _shift_errors(
     if not isinstance(model, ShiftModel) or parts.shape[1] not in (1, shifts.shape[1]):
         return torch.full(shifts.shape[:2], torch.nan)
     found = torch.stack([model.pixel_shift(part) for part in parts.unbind(1)], dim=1)
+    _require_numbers(model, "shifts in pixels", found)
     error: Tensor = torch.linalg.vector_norm(found - shifts, dim=-1)
     return error
 

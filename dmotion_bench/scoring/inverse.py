@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from typing import Protocol, runtime_checkable
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -34,12 +35,14 @@ def inverse_figures(named: Actions, action: Actions, spec: ActionSpec | None) ->
     """The figure of each triplet: of its kind of action, the other is left out.
 
     Raises:
-        ModelContractBroken: There is not an action for each triplet.
+        ModelContractBroken: There is not an action for each triplet, or one holds NaN or infinity.
     """
     if named.shape != action.shape:
         raise ModelContractBroken(
             f"infer_action gave actions of the shape {tuple(named.shape)}; the contract asks for {tuple(action.shape)}."
         )
+    if not bool(torch.isfinite(named).all()):
+        raise ModelContractBroken("infer_action gave actions that hold NaN or infinity; the training diverged.")
     if isinstance(spec, Continuous):
         encoding = ActionEncoding(spec).to(action.device)
         return {"inverse_error": (encoding(named) - encoding(action)).square().mean(1)}

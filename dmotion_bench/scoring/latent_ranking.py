@@ -7,8 +7,9 @@ A rollout ahead in that space is held against the true states of all rollouts af
 
 One that is just as near counts half a place, unless its picture is the same. So a state that is the same for all
 pictures has no hit, and a board that is reached twice does no harm where a state is of one frame. A state of two frames
-is another one if the frame before is another, and counts in full where it is nearer. No decoder has a part in this, so
-a model whose pictures are bad can be seen to know what comes, and the other way round.
+is another one if the frame before is another, and counts in full where it is nearer. Where there is no other state and
+no other picture, as of a single rollout, there is nothing to be ranked among, and no figure. No decoder has a part in
+this, so a model whose pictures are bad can be seen to know what comes, and the other way round.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class EmbeddingModel(Protocol):
 
 @dataclass(frozen=True, kw_only=True)
 class Ranks:
-    """Of each rollout after each of its steps, in the order of ``HeldOut.rollouts``."""
+    """Of each rollout after each of its steps, in the order of ``HeldOut.rollouts``; NaN where nothing is ranked."""
 
     hit_at_1: Float32[np.ndarray, "r t"]
     reciprocal_rank: Float32[np.ndarray, "r t"]
@@ -79,7 +80,8 @@ def rank_rollouts(
     pictures = torch.from_numpy(np.concatenate(shown))
     ahead = zip(torch.cat(imagined).unbind(1), torch.cat(true).unbind(1), pictures.unbind(1), strict=True)
     rank = torch.stack([ranks(*one) for one in ahead], 1)
-    return Ranks(hit_at_1=(rank == 1).float().numpy(), reciprocal_rank=rank.float().reciprocal().numpy())
+    hit = (rank == 1).float().masked_fill(rank.isnan(), torch.nan)
+    return Ranks(hit_at_1=hit.numpy(), reciprocal_rank=rank.float().reciprocal().numpy())
 
 
 def ranks(
@@ -87,7 +89,8 @@ def ranks(
 ) -> Float[Tensor, " n"]:
     """The place of each own true state among all, by the distance from the prediction: 1 is the nearest.
 
-    Some rows at a time: the distances of all rollouts from each other may not fit into memory.
+    NaN where all others are as near and of the same picture, so that there is nothing to be ranked among. Some rows at
+    a time: the distances of all rollouts from each other may not fit into memory.
 
     Args:
         predicted, true: States; of one row the true one is what the predicted one should be.
@@ -98,8 +101,9 @@ def ranks(
         rows = slice(first, first + ROWS_AT_ONCE)
         distance = torch.cdist(predicted[rows], true, compute_mode=_EXACT)
         own = distance.diagonal(first)[:, None]
-        tied = (distance == own) & (pictures[rows, None] != pictures)
-        found.append(1 + (distance < own).sum(1).double() + tied.sum(1).double() / 2)
+        as_near, unlike = distance == own, pictures[rows, None] != pictures
+        rank = 1 + (distance < own).sum(1).double() + (as_near & unlike).sum(1).double() / 2
+        found.append(rank.masked_fill((as_near & ~unlike).all(1), torch.nan))
     return torch.cat(found) if found else predicted.new_zeros(0, dtype=torch.float64)
 
 

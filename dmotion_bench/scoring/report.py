@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -98,6 +99,9 @@ REPORT_FILE = "report.json"
 TRANSFERS = "on"
 """Folder in a run's report for those on other data sets, a folder each."""
 SAMPLES_FILE = "samples.parquet"
+_OVER_STEPS: Final = ("rollout_", "control_distance", "control_picture_distance")
+"""How the names begin of figures that there are of each step."""
+_STEP: Final = re.compile(r"\[\d{1,9}\]$")
 _WAITING = "samples-new.parquet"
 """New samples, until the report that holds their hash is written."""
 
@@ -325,6 +329,10 @@ def _require_fields(report: Fields) -> None:
     for holder, of_whom in ((report, "figures"), *((reference, name) for name in report.pairs("reference"))):
         figures = holder.inner(of_whom)
         for name in holder.pairs(of_whom):
+            if name.startswith(_OVER_STEPS) and not _STEP.search(name):
+                raise ValueError(
+                    f"{shown(f'report.{of_whom}.{name}')} does not end in the number of a step in brackets"
+                )
             figure = figures.inner(name)
             figure.whole_or_none("n")
             if "episodes" in figures.pairs(name):

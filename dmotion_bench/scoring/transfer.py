@@ -222,7 +222,8 @@ def transfer_remark(run: Run, dataset: Dataset, split: SplitName) -> str:
     said = f"trained on {run.spec.dataset!r}{world}, and scored on {dataset.name!r}"
     if dataset.recipe.vary:
         ranges = " (shifted)" if dataset.recipe.parameters.get("ranges") == "shifted" else ""
-        said += f", in which {', '.join(dataset.recipe.vary)} vary{ranges}"
+        varying = "varies" if len(dataset.recipe.vary) == 1 else "vary"
+        said += f", in which {', '.join(dataset.recipe.vary)} {varying}{ranges}"
     if _is_import(dataset):
         said += ", an import" + (
             " whose actions are matched by their names" if dataset.spec.actions is not None else ""

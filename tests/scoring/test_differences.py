@@ -9,6 +9,7 @@ import pyarrow as pa
 import pytest
 
 from dmotion_bench.scoring.differences import Difference, better, differences
+from dmotion_bench.scoring.figures import ROLLOUT_COLUMNS
 from dmotion_bench.scoring.samples import FIGURE_COLUMNS, OBJECT_COLUMNS, POSITION_COLUMNS, RANK_COLUMNS
 from dmotion_bench.scoring.statistics import wilson
 from dmotion_bench.scoring.trainings import difference_over_trainings
@@ -114,3 +115,26 @@ def test_the_interval_of_a_difference_of_shares_covers_the_truth(
         inside += found.low <= only_first - only_second <= found.high
 
     assert inside / trials >= 0.92
+
+
+def test_ranks_among_other_rollouts_are_not_compared() -> None:
+    def rolled_out(rollouts: int, value: float) -> pa.Table:
+        places = np.arange(rollouts)
+        return pa.table(
+            {
+                "metric": ["rollout"] * rollouts,
+                "episode": places,
+                "step": np.ones(rollouts),
+                "ahead": np.ones(rollouts, np.int64),
+                "pushed": pa.nulls(rollouts, pa.bool_()),
+                **{name: np.full(rollouts, value) for name in ROLLOUT_COLUMNS},
+            }
+        )
+
+    def compared(count: int) -> set[str]:
+        return {one.figure for one in differences([rolled_out(6, 1.0)], [rolled_out(count, 0.5)])}
+
+    every = {f"rollout_{name}[1]" for name in ROLLOUT_COLUMNS}
+    ranks = {f"rollout_{name}[1]" for name in RANK_COLUMNS}
+    assert compared(6) == every
+    assert compared(8) == every - ranks

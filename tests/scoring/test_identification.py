@@ -116,6 +116,10 @@ def test_latent_actions_and_maps_that_hold_no_numbers_are_refused(grid: Dataset)
         def agent_map(self, current: Tensor) -> Tensor:
             return torch.full_like(current[:, 0], torch.nan)
 
+    class GoesNowhere(SeesGreen):
+        def pixel_shift(self, motion: Tensor) -> Tensor:
+            return motion * torch.nan
+
     class Overflowing(KnowsNoPlace):
         codebook_sizes = (8,)
 
@@ -126,6 +130,7 @@ def test_latent_actions_and_maps_that_hold_no_numbers_are_refused(grid: Dataset)
         (Overflowing(), r"Overflowing\.chosen_codes gave the codes 8 to 8 of codebook 0, which has 8"),
         (Diverged(), "the latent actions of Diverged hold NaN or infinity"),
         (SeesNothing(), "the maps of agents of SeesNothing hold NaN or infinity"),
+        (GoesNowhere(), "the shifts in pixels of GoesNowhere hold NaN or infinity"),
     ):
         with pytest.raises(ModelContractBroken, match=said):
             identify(model, HeldOut(grid, "test"), batch_size=256, device=torch.device("cpu"))

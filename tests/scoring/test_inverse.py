@@ -28,3 +28,9 @@ def test_named_numbers_are_compared_in_units_of_their_bounds() -> None:
 def test_names_that_are_not_one_for_each_triplet_are_refused() -> None:
     with pytest.raises(ModelContractBroken, match=r"shape \(3, 1\); the contract asks for \(3,\)"):
         inverse_figures(torch.zeros(3, 1), torch.tensor([0, 1, 1]), Discrete.numbered(3))
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf")])
+def test_numbers_that_are_none_are_refused_and_not_left_out_of_the_mean(number: float) -> None:
+    with pytest.raises(ModelContractBroken, match="infer_action gave actions that hold NaN or infinity"):
+        inverse_figures(torch.tensor([[0.0, 1.0], [number, 0.0]]), torch.zeros(2, 2), MOVES)

@@ -62,7 +62,8 @@ def test_ranks_are_those_of_brute_force(seed: int, count: int) -> None:
         distances = [((predicted[row] - true[other]) ** 2).sum() for other in range(count)]
         nearer = sum(distance < distances[row] for distance in distances)
         others = [distance for distance, one in zip(distances, pictures, strict=True) if one != pictures[row]]
-        expected.append(1 + nearer + others.count(distances[row]) / 2)
+        alone = not others and set(distances) == {distances[row]}
+        expected.append(np.nan if alone else 1 + nearer + others.count(distances[row]) / 2)
     for at_once in (1, 5, 1024):  # the blocks of rows do not matter
         with patch.object(latent_ranking, "ROWS_AT_ONCE", at_once):
             found = ranks(*(torch.from_numpy(one) for one in (predicted, true, pictures)))
@@ -100,6 +101,14 @@ def test_a_state_that_is_the_same_for_all_pictures_has_no_hit(grid: Dataset) -> 
         model.state = broken
         with pytest.raises(ModelContractBroken, match="the states of Collapsed hold NaN or infinity"):
             rank_rollouts(model, held_out, horizon=4, batch_size=5, device=CPU)
+
+
+def test_a_rollout_alone_has_no_rank(grid: Dataset) -> None:
+    chosen = ScoreSettings(horizon=3, resamples=100)
+    with patch("dmotion_bench.scoring.transitions.HeldOut._starts", lambda *_: [(int(grid.split("test")[0]), 1)]):
+        scores = score_model(KnowingOracle(grid), grid, metrics=("rollout",), settings=chosen)
+    assert "rollout_mse[1]" in scores.figures
+    assert not [name for name in scores.figures if "hit_at_1" in name or "reciprocal_rank" in name]
 
 
 def test_a_model_without_a_space_of_its_own_has_no_rank(grid: Dataset) -> None:

@@ -6,6 +6,7 @@ import contextlib
 import functools
 import json
 import operator
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -242,6 +243,7 @@ def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:
         ("figures.mse.mean", [1.0]),
         ("figures.mse", None),
         ("figures.mse", {"mean": 1.0}),
+        ("figures.rollout_mse[x]", {"mean": 1.0, "std": 0.0, "low": None, "high": None, "n": 1}),
         ("reference.copy_last.mse.n", 2.5),
         ("reference", []),
         ("figures.mse.episodes", [1]),
@@ -255,7 +257,7 @@ def test_what_is_wrong_is_said(make_run: MakeRun, tmp_path: Path) -> None:
         *above, last = path.split(".")
         functools.reduce(operator.getitem, above, report)[last] = value
         file.write_text(json.dumps(report))
-        with pytest.raises(RunCorrupt, match=rf"report\.{path}.* delete it and score the run again"):
+        with pytest.raises(RunCorrupt, match=rf"report\.{re.escape(path)}.* delete it and score the run again"):
             score_run(run.path, settings=QUICK)
     file.write_text('{"protocol": ')
     with pytest.raises(RunCorrupt, match="delete it and score the run again"):

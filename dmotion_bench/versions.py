@@ -10,6 +10,7 @@ from dmotion_bench.errors import DatasetError
 from dmotion_bench.wording import shown
 
 PACKAGES = ("dmbench", "torch", "numpy", "mcap", "pyarrow", "pybullet", "pymunk", "gymnasium", "rerun-sdk")
+DECIDING = ("dmbench", "torch", "numpy")  # of these, what a training computes with
 MOST_STATED = 8  # versions of a package, the last ones
 
 

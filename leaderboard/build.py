@@ -12,6 +12,7 @@ The folder can be copied anywhere, put on any static host, or opened from the di
 from __future__ import annotations
 
 import contextlib
+import os
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -109,6 +110,9 @@ def build(
     entries = list((found | {entry.slug: entry for entry in own}).values())
     for folder in (out, out / ENTRIES, out / ENTRIES / REFERENCES):
         remove_leftovers(folder)
+    if (out / PAGE).is_file() and not (out / PAGE).is_symlink():
+        with contextlib.suppress(PermissionError):  # somebody else's
+            os.utime(out / PAGE, (0, 0))  # older than every entry until it is written anew, even if the clock went back
     for entry in entries:
         write_entry(entry, out / ENTRIES)
     doubtful = _remove_outdated(out / ENTRIES, entries, own)

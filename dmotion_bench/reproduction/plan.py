@@ -19,9 +19,11 @@ from dmotion_bench.actions import ActionSpec
 from dmotion_bench.errors import DmbenchError, RunError, RunMismatch, UsageError
 from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.model import ModelInputs
+from dmotion_bench.learning.runs.checkpoint import identity
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, default_path, differences, resolve
 from dmotion_bench.learning.settings import with_settings
+from dmotion_bench.learning.training.beginning import is_finished
 from dmotion_bench.learning.training.table import Row
 from dmotion_bench.planning.choices import make_objective
 from dmotion_bench.registry import model_class
@@ -86,7 +88,7 @@ class Training:
 
     def left(self, workspace: Workspace) -> tuple[int, float]:
         """How many runs are still to be trained, and how many whole trainings that takes."""
-        done = sum(_is_trained(path) for path in self.runs(workspace))
+        done = sum(is_trained(path) for path in self.runs(workspace))
         missing = len(self.rows) - done
         return missing, (self.shared if not done else 0.0) + self.labelled * missing if missing else 0.0
 
@@ -271,11 +273,19 @@ def _finds_objects(control: ControlScoring) -> bool:
     return bool(getattr(make_objective(control.objective or FEATURE), "finds_objects", False))
 
 
-def _is_trained(path: Path) -> bool:
+def is_trained(path: Path) -> bool:
+    """Whether a run is trained to its end and its weights are whole; if not, its training goes on or begins anew."""
     try:
-        return Run.open(path).result is not None
+        run = Run.open(path)
+        return run.result is not None and _is_whole(path, run.result["weights"], identity(run.best))
     except RunError:
         return False
+
+
+@cache
+def _is_whole(path: Path, _weights: str, _file: tuple[int, int] | None) -> bool:
+    """Read the weights of a run once, for it is asked often: again only where another file is there."""
+    return is_finished(Run.open(path))
 
 
 def _trainings(entrant: Entrant, recording: Recording, seed: int, preset: Preset) -> Iterator[Training]:

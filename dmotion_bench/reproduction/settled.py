@@ -13,7 +13,7 @@ from typing import Any, Final
 
 from dmotion_bench.errors import DmbenchError, RunError
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.reproduction.plan import Plan, Scoring, Training
+from dmotion_bench.reproduction.plan import Plan, Scoring, Training, is_trained
 from dmotion_bench.reproduction.table import Column
 from dmotion_bench.scoring.earlier_planning import present_settings
 from dmotion_bench.scoring.report import SCORING_VERSION
@@ -162,7 +162,7 @@ def state_of(plan: Plan, column: Column) -> State:
                 standing.append(entry)
             elif _is_scored(path, scoring):
                 to_enter.append(path)
-            else:
+            elif is_trained(path):  # else its training is left
                 to_score.append((scoring, training, path))
     return State(to_train=to_train, to_score=to_score, to_enter=to_enter, standing=standing)
 

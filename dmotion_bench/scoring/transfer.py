@@ -68,12 +68,13 @@ def report_folder(
 def transfer_folders(run: Path) -> list[Path]:
     """The folders of a run's reports on other data sets than its own, and of the columns there, sorted.
 
-    Not of those on validation episodes, which are for choosing and stand on no leaderboard.
+    Not of those on validation episodes, which are for choosing and stand on no leaderboard. Nor of hidden folders: they
+    are other programs', and nobody sees that their links stay within the run (``storage/links.py``).
     """
     there = run / REPORT_FOLDER / TRANSFERS
     found = [path.parent for path in there.glob(f"*/{REPORT_FILE}")]
     found += [path.parent for path in there.glob(f"*/*/{REPORT_FILE}") if path.parent.name not in SPLIT_NAMES]
-    return sorted(found)
+    return sorted(path for path in found if not any(one.startswith(".") for one in path.relative_to(there).parts))
 
 
 def transferable(run: Run, dataset: Dataset, split: SplitName, column: str | None = None) -> Dataset:

@@ -47,9 +47,19 @@ def atomic_file(path: Path, *, make_folders: bool = True) -> Iterator[BinaryIO]:
     Raises:
         StorageFull: There is no space left.
     """
+    with saying_full(path), _written(path, make_folders) as file:
+        yield file
+
+
+@contextlib.contextmanager
+def saying_full(path: Path) -> Iterator[None]:
+    """Within the block, which writes a file, a disk that can take no more is said with the file's name.
+
+    Raises:
+        StorageFull: There is no space left.
+    """
     try:
-        with _written(path, make_folders) as file:
-            yield file
+        yield
     except OSError as error:
         if error.errno not in FULL:
             raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -11,6 +12,7 @@ from typing import Any
 import pytest
 
 from dmotion_bench.errors import EntryInvalid, UsageError
+from dmotion_bench.reproduction.settled import Page
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.workspace import Workspace
 from leaderboard.build import build
@@ -69,6 +71,25 @@ def test_building_again_changes_nothing_and_asks_no_model(
     build(workspace.all_runs(), [], tmp_path / "out")
 
     assert files() == first
+
+
+def test_a_build_that_breaks_off_is_done_again_although_the_clock_was_ahead(
+    workspace: Workspace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def end() -> str:
+        raise KeyboardInterrupt
+
+    shutil.rmtree(workspace.data)
+    page = build(workspace.all_runs()[:1], [], tmp_path / "out").page
+    os.utime(page, (2**32, 2**32))
+    with monkeypatch.context() as patch:
+        patch.setattr("leaderboard.build.schema_text", end)  # called once all entries are written
+        with pytest.raises(KeyboardInterrupt):
+            build(workspace.all_runs(), [], tmp_path / "out")
+    assert Page(tmp_path / "out").is_behind()
+    build(workspace.all_runs(), [], tmp_path / "out")
+    assert not Page(tmp_path / "out").is_behind()
+    assert all(run.name in page.read_text() for run in workspace.all_runs())
 
 
 def test_without_its_data_set_a_run_has_an_entry_without_pictures(workspace: Workspace, tmp_path: Path) -> None:

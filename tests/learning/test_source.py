@@ -20,7 +20,7 @@ from dmotion_bench import registry
 from dmotion_bench.errors import RunCorrupt
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
-from dmotion_bench.learning.runs.run import Run
+from dmotion_bench.learning.runs.run import Conditions, Run
 from dmotion_bench.learning.runs.source import changed_modules, code_of
 from dmotion_bench.learning.settings import to_json
 from dmotion_bench.learning.training.beginning import finished_result
@@ -282,6 +282,19 @@ def test_an_attempt_that_failed_before_its_first_checkpoint_is_no_training(packa
     assert run.changed_modules
     assert _told(run) == ""
     assert not Run.open(run.path).changed_modules
+
+
+def test_a_training_that_goes_on_with_another_version_says_so_and_states_both(package: Path, tmp_path: Path) -> None:
+    run = _trained(package, tmp_path / "runs" / "one")
+    run.manifest["result"] = None
+    run.write()
+    both = f"1.0, {versions()['torch']}"
+    assert f"goes on with another version than it began with (torch {both})" in _told(run)
+    assert f"delete {str(run.path)!r} first" in _told(run)
+    run.begin(Conditions(threads=1, precision="float32"))
+    again = Run.open(run.path)
+    assert again.manifest["versions"] == versions() | {"torch": both}
+    assert _told(again) == f"going on with {run.path}."
 
 
 def test_a_class_that_a_notebook_defines_again_is_told(package: Path, tmp_path: Path) -> None:

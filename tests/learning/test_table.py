@@ -5,6 +5,7 @@ from __future__ import annotations
 import socket
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from mortal_workers import Losing
@@ -17,6 +18,7 @@ from dmotion_bench.learning.data.label_request import LabelRequest
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest
 from dmotion_bench.learning.training import table
+from dmotion_bench.learning.training.metrics_log import MetricsLog
 from dmotion_bench.learning.training.table import Row, TableJob, budgets, rows, train_jobs, train_table
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import DatasetRecipe, Preset
@@ -136,9 +138,22 @@ def test_of_a_lost_job_the_rows_that_are_not_trained_fail(dataset, tmp_path) -> 
     assert outcomes[1].run.result is not None
 
 
-def test_a_full_disk_stops_the_table(dataset, tmp_path) -> None:
-    def train(run: Run) -> None:
-        raise StorageFull("no space left.")
+NO_FULL_DISK = pytest.mark.skipif(not Path("/dev/full").exists(), reason="no file of this system is always full")
 
-    with pytest.raises(StorageFull):
+
+@pytest.mark.parametrize("when", ["at once", pytest.param("later", marks=NO_FULL_DISK)])
+def test_a_full_disk_stops_the_table(dataset, tmp_path, monkeypatch, when) -> None:
+    opened = Path.open
+
+    def full(path: Path, mode: str = "r", *given: Any, **named: Any) -> Any:
+        return opened(Path("/dev/full") if mode == "a" else path, mode, *given, **named)
+
+    def train(run: Run) -> None:
+        if when == "at once":
+            raise StorageFull("no space left.")
+        with MetricsLog.resumed(run.metrics, 0) as log:  # a row is appended, and no file appears as a whole
+            log.write(step=1, seconds=1.0, triplets_per_s=1.0, learning_rate=1.0, values={})
+
+    monkeypatch.setattr(Path, "open", full)
+    with pytest.raises(StorageFull, match=r"^no space left"):
         list(train_table(REQUEST, dataset, Workspace(tmp_path), train))

@@ -11,12 +11,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
+from known_model import result_of
 from small_tables import CONTROL, TABLE
 
 from dmotion_bench import registry
 from dmotion_bench.api import reproducing
 from dmotion_bench.cli import options
 from dmotion_bench.errors import InvalidSetting, RunMismatch, UnknownName, UsageError
+from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import default_path, resolve
 from dmotion_bench.planning.columns import (
@@ -255,20 +258,7 @@ def test_another_recording_can_hold_the_tasks(tmp_path: Path) -> None:
     assert {one.data for one in plan.scorings} == {tmp_path / "data" / "planar_push-test-tiny"}
 
 
-RESULT = {
-    "weights": "0" * 64,
-    "steps": 1,
-    "triplets": 1,
-    "seconds": 1.0,
-    "triplets_per_s": 1.0,
-    "parameters": 1,
-    "validation_loss": 1.0,
-    "best_step": 1,
-    "labels_total": 1,
-    "labels": {},
-    "device": "cpu",
-    "processes": 1,
-}
+WEIGHTS = {"offset": torch.zeros(1)}
 
 
 def _stand(plan: Plan, **other: object) -> list[Path]:
@@ -284,7 +274,9 @@ def _stand(plan: Plan, **other: object) -> list[Path]:
             shutil.rmtree(path, ignore_errors=True)
             path.mkdir(parents=True)
             spec = dataclasses.replace(spec, **other)
-            Run.create_or_open(path, spec, dataset_path=dataset.where, versions={}).finish(RESULT)
+            run = Run.create_or_open(path, spec, dataset_path=dataset.where, versions={})
+            checkpoint.save(run.best, checkpoint.with_prefix("model", WEIGHTS), {})
+            run.finish(result_of(WEIGHTS))
             paths.append(path)
     return paths
 
@@ -313,3 +305,20 @@ def test_runs_of_other_settings_or_data_are_told_before_anything_is_counted(tmp_
     _stand(plan)
     (first / "run.json").write_text("{")
     assert planned().trainings[0].left(plan.workspace) == (1, 0.0)  # its training says what is wrong
+
+
+@pytest.mark.parametrize("damage", ["deleted", "other bytes"])
+def test_a_run_whose_weights_are_damaged_is_trained_anew_and_not_scored(damage: str, tmp_path: Path) -> None:
+    plan = reproducing.plan_table(TABLE, workspace=tmp_path, seeds=[0], models=["lapo"])
+    (training,), (column,) = plan.trainings, plan.table.columns
+    record_dataset(training.recording.folder, training.recording.recipe)
+    first, *others = _stand(plan)
+    assert training.left(plan.workspace)[0] == 0
+    assert [path for _, _, path in state_of(plan, column).to_score] == [first, *others]
+    weights = first / "best.safetensors"
+    spoilt = weights.read_bytes()[:-1] + b"?"
+    weights.unlink()
+    if damage == "other bytes":
+        weights.write_bytes(spoilt)
+    assert training.left(plan.workspace)[0] == 1
+    assert [path for _, _, path in state_of(plan, column).to_score] == others

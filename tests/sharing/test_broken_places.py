@@ -28,6 +28,7 @@ from dmotion_bench.errors import (
     StorageFull,
     UsageError,
 )
+from dmotion_bench.scoring.transfer import transfer_folders
 from dmotion_bench.sharing.place import FolderPlace
 from dmotion_bench.workspace import Workspace
 
@@ -301,6 +302,21 @@ def test_what_a_link_in_a_run_leads_to_is_not_published(
     with pytest.raises(RunError, match=rf"{name}.* is a link that leads out of the run's folder"):
         dm.share_push("known", folder.address)
     assert folder.files() == {}
+
+
+def test_a_hidden_folder_beside_the_reports_is_not_looked_into(
+    workspace: Workspace, folder: Published, tmp_path: Path
+) -> None:
+    """Other programs keep links in such folders, which may lead anywhere."""
+    report = workspace.runs / "known" / "report"
+    hidden = report / "on" / ".hidden"
+    hidden.mkdir(parents=True)
+    for name in ("report.json", "samples.parquet"):
+        (tmp_path / name).write_text("private")
+        (hidden / name).symlink_to(tmp_path / name)
+    dm.share_push("known", folder.address)
+    assert not [name for name, content in folder.files().items() if content == b"private"]
+    assert transfer_folders(workspace.runs / "known") == []
 
 
 def test_labels_are_not_fetched_into_a_folder_that_leads_elsewhere(

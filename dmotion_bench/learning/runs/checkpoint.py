@@ -115,15 +115,15 @@ def load(
         RunError: The file may not be opened.
     """
     while True:  # safetensors opens the file twice, and a training that goes on may put another one there in between
-        there = _identity(path)
+        there = identity(path)
         try:
             return _load(path, required, optional or {})
         except RunCorrupt:
-            if _identity(path) == there:
+            if identity(path) == there:
                 raise
 
 
-def _identity(path: Path) -> tuple[int, int] | None:
+def identity(path: Path) -> tuple[int, int] | None:
     """Tells a file from one that takes its place; None if there is none."""
     try:
         found = path.stat()

@@ -39,7 +39,7 @@ from dmotion_bench.learning.settings import from_json
 from dmotion_bench.storage.atomic import write_atomically
 from dmotion_bench.storage.links import require_no_link_out
 from dmotion_bench.storage.remote_copy import copy_folder
-from dmotion_bench.versions import versions
+from dmotion_bench.versions import versions, with_earlier
 from dmotion_bench.wording import command, shown
 from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
 
@@ -234,8 +234,9 @@ class Run:
         return None if recorded is None else from_json(Conditions, recorded)
 
     def begin(self, conditions: Conditions) -> None:
-        """Record the threads and precision of the training."""
+        """Record the threads and precision of a training, and the versions that it begins or goes on with."""
         self.manifest["conditions"] = dataclasses.asdict(conditions)
+        self.manifest["versions"] = with_earlier(self.manifest["versions"], versions())
         self.threads = conditions.threads
         self.write()
 

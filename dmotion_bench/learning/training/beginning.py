@@ -9,6 +9,7 @@ from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.storage.lock import held
+from dmotion_bench.versions import DECIDING, versions, with_earlier
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST
 
@@ -49,6 +50,7 @@ def finished_result(
     elif run.last.exists():
         note(f"going on with {run.path}.")
         tell_changes(run, warn)
+        _tell_versions(run, warn)
     elif (run.path / RUN_MANIFEST).exists():
         with held(run.path):
             run.read_again()
@@ -69,6 +71,17 @@ def _damage(run: Run) -> RunMissing | RunCorrupt | None:
     except (RunMissing, RunCorrupt) as error:
         return error
     return None
+
+
+def _tell_versions(run: Run, warn: Callable[[str], None]) -> None:
+    """Warn that a training goes on with other packages than it began with, if it does: its weights depend on them."""
+    before = run.manifest["versions"]
+    both = with_earlier(before, versions())
+    if changed := [f"{name} {both[name]}" for name in DECIDING if both.get(name) != before.get(name, both.get(name))]:
+        warn(
+            f"that training goes on with another version than it began with ({'; '.join(changed)}), so its weights are "
+            f"those of neither alone; to train with one version, delete {shown(str(run.path))} first."
+        )
 
 
 def tell_changes(run: Run, warn: Callable[[str], None]) -> None:

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import IO, Final
 
-from dmotion_bench.storage.atomic import write_atomically
+from dmotion_bench.storage.atomic import saying_full, write_atomically
 from dmotion_bench.storage.json_file import JsonUnreadable, parse_json
 
 LARGEST: Final = 64 * 2**20  # bytes of a log that are read
@@ -22,7 +22,7 @@ class MetricsLog:
     """Writes the rows of a training.
 
     Args:
-        file: None where another process writes them.
+        file: Open for appending; None where another process writes the rows.
     """
 
     def __init__(self, file: IO[str] | None) -> None:
@@ -31,17 +31,29 @@ class MetricsLog:
     @classmethod
     @contextlib.contextmanager
     def resumed(cls, path: Path, step: int) -> Iterator[MetricsLog]:
-        """The log opened for appending, without the rows after the step resumed from, however long it is."""
+        """The log opened for appending, without the rows after the step resumed from, however long it is.
+
+        Raises:
+            StorageFull: There is no space left for it, now or at its end.
+        """
         rows = _lines(path, largest=None) if path.is_file() else ()
         kept = [line + b"\n" for line in rows if (row := parse_row(line)) is not None and row[0] <= step]
         write_atomically(path, b"".join(kept))
-        with path.open("a", buffering=1) as file:
+        file = path.open("a", buffering=1)
+        try:
             yield cls(file)
+        finally:
+            with saying_full(path):
+                file.close()
 
     def write(
         self, *, step: int, seconds: float, triplets_per_s: float, learning_rate: float, values: Mapping[str, float]
     ) -> None:
-        """Append a row; ``seconds`` is the time spent in training steps, including earlier sessions."""
+        """Append a row; ``seconds`` is the time spent in training steps, including earlier sessions.
+
+        Raises:
+            StorageFull: There is no space left.
+        """
         if self._file is None:
             return
         row = {
@@ -51,7 +63,8 @@ class MetricsLog:
             "learning_rate": learning_rate,
             **values,
         }
-        self._file.write(json.dumps(row) + "\n")
+        with saying_full(Path(self._file.name)):
+            self._file.write(json.dumps(row) + "\n")
 
 
 def read_rows(path: Path) -> Iterator[tuple[int, dict[str, float]]]:

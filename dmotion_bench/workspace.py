@@ -132,27 +132,31 @@ class Workspace:
         if not found:
             raise DatasetMissing(
                 f"no data set in {str(self.data)!r}; record one with 'dmbench record grid_world' "
-                "or name one with '--data DIR'."
+                "or give the path of one."
             )
         if len(found) > 1:
-            listed = "\n".join(f"  --data {shlex.quote(str(path))}" for path in found)
-            raise UsageError(f"several data sets are here; choose one:\n{listed}")
+            listed = "\n".join(f"  {shlex.quote(str(self.short(path)))}" for path in found)
+            raise UsageError(f"several data sets are here; name one, as the argument or with '--data':\n{listed}")
         return found[0]
 
-    def run(self, given: AnyPath | None) -> Path:
+    def run(self, given: AnyPath | None, besides: Sequence[str] = ()) -> Path:
         """The run asked for by path or name, or the only one there is.
+
+        Args:
+            given: A path or a name.
+            besides: What else may be named in its place; an error suggests these names, too.
 
         Raises:
             RunMissing: There is none.
             UsageError: There are several and none was named.
         """
         if given is not None:
-            return self._named(as_path("run", given), self.runs, RUN_MANIFEST, "run", self.all_runs())
+            return self._named(as_path("run", given), self.runs, RUN_MANIFEST, "run", self.all_runs(), besides)
         found = self.all_runs()
         if not found:
             raise RunMissing(f"no run in {str(self.runs)!r}; train one with 'dmbench train dmotion'.")
         if len(found) > 1:
-            listed = "\n".join(f"  {shlex.quote(str(path))}" for path in found)
+            listed = "\n".join(f"  {shlex.quote(str(self.short(path)))}" for path in found)
             raise UsageError(f"several runs are here; name one:\n{listed}")
         return found[0]
 
@@ -181,19 +185,22 @@ class Workspace:
         return path.name if path.parent in (self.data, self.runs) and not Path(path.name).exists() else folder
 
     @staticmethod
-    def _named(given: Path, folder: Path, manifest: str, kind: str, known: list[Path]) -> Path:
+    def _named(
+        given: Path, folder: Path, manifest: str, kind: str, known: list[Path], besides: Sequence[str] = ()
+    ) -> Path:
+        listing = f"dmbench list {kind.replace(' ', '')}s"
         for candidate in (given, folder / given):
             if (candidate / manifest).is_file():
                 return candidate
         if given.is_dir():
             missing = DatasetMissing if kind == "data set" else RunMissing
-            raise missing(f"{str(given)!r} is no {kind}: it holds no {manifest}.")
+            raise missing(f"{str(given)!r} is no {kind}: it holds no {manifest}. '{listing}' lists the {kind}s.")
         if kind == "data set" and given.is_file():
             raise DatasetMissing(
                 f"{str(given)!r} is a file, no data set; a recording becomes one with "
                 f"{command('dmbench data import', given)}."
             )
-        raise UnknownName(kind, str(given), [path.name for path in known], f"dmbench list {kind.replace(' ', '')}s")
+        raise UnknownName(kind, str(given), [path.name for path in known] + [*besides], listing)
 
 
 _ENTERED: Final[ContextVar[Workspace | None]] = ContextVar("entered", default=None)

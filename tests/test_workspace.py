@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import dmotion_bench as dm
-from dmotion_bench.errors import UnknownName, UsageError
+from dmotion_bench.errors import RunMissing, UnknownName, UsageError
 from dmotion_bench.execution.local_executor import LocalExecutor
 from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
 
@@ -59,6 +59,19 @@ def test_jobs_are_done_in_the_workspace_of_whoever_gives_them(tmp_path: Path) ->
 def test_what_is_no_path_is_a_sentence() -> None:
     with pytest.raises(UsageError, match="5 stands for no workspace; give one name, or one path"):
         dm.record("grid_world", "tiny", workspace=5)  # type: ignore[arg-type]
+
+
+def test_what_cannot_be_found_says_what_to_type(tmp_path: Path) -> None:
+    workspace = Workspace(tmp_path)
+    for name in ("one", "mit Leer"):
+        (workspace.data / name).mkdir(parents=True)
+        (workspace.data / name / "dataset.json").write_text("{}")
+    with pytest.raises(UsageError, match=r"as the argument or with '--data':\n  'mit Leer'\n  one$"):
+        workspace.dataset(None)
+    with pytest.raises(RunMissing, match=r"is no run: it holds no run\.json\. 'dmbench list runs' lists the runs"):
+        workspace.run(workspace.data / "one")
+    with pytest.raises(UnknownName, match="did you mean 'oracle'"):
+        workspace.run("orakle", ("oracle", "idle"))
 
 
 def test_a_name_without_a_seed_stands_for_the_trainings_with_one(tmp_path: Path) -> None:

@@ -121,6 +121,9 @@ class TripletDataset(torch.utils.data.Dataset[Triplet]):
     def __len__(self) -> int:
         return len(self.triplets)
 
+    def __repr__(self) -> str:
+        return f"<TripletDataset: {len(self)} triplets, with{'out' if self.actions is None else ''} actions>"
+
     def __getitem__(self, index: int) -> Triplet:
         place = int(index)
         if not -len(self) <= place < len(self):

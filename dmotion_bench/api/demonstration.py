@@ -22,7 +22,7 @@ from dmotion_bench.specs import Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.scene import write_scene
 from dmotion_bench.viewing.target import find_target
-from dmotion_bench.workspace import AnyPath, Workspace
+from dmotion_bench.workspace import AnyPath, Workspace, as_path
 
 ENVIRONMENT = "grid_world"
 MODEL = "dmotion"
@@ -85,7 +85,7 @@ def demo(
         UsageError: A number is none, or out of its bounds.
     """
     seed, workers = whole("seed", seed, 0, LARGEST_SEED), whole("workers", workers, 1)
-    began, workspace = time.monotonic(), Workspace(out)
+    began, workspace = time.monotonic(), Workspace(as_path("folder", out))
     say(f"1/4 recording {EPISODES} episodes of {ENVIRONMENT}")
     recipe = recipe_for(ENVIRONMENT, Preset.SMALL, episodes=EPISODES, tasks=0, seed=seed)
     folder = workspace.data / f"{ENVIRONMENT}-demo"

@@ -27,7 +27,7 @@ from dmotion_bench.storage.imports.recording import Clock
 from dmotion_bench.storage.imports.sources import SUFFIXES
 from dmotion_bench.storage.video.codecs import CODECS
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, in_workspace, listed
+from dmotion_bench.workspace import AnyPath, AnyPaths, Workspace, as_path, in_workspace, listed
 
 _CLUSTER_GIGABYTES: Final = 8
 _CLUSTER_MINUTES: Final = 24 * 60
@@ -142,8 +142,8 @@ def import_recordings(
     )
     workers = whole("workers", workers, 1)
     place = Workspace.current()
-    paths = [Path(one) for one in listed(recordings)]
-    folder = default_folder(paths, place) if out is None else Path(out)
+    paths = [as_path("recording", one) for one in listed(recordings)]
+    folder = default_folder(paths, place) if out is None else as_path("folder", out)
     with telling(progress) as tell:
 
         def say(what: str, done: int, total: int) -> None:
@@ -235,7 +235,7 @@ def export_dataset(
     require_one_of("codec", codec, CODECS)
     place = Workspace.current()
     source = Dataset.open(place.dataset(data))
-    folder = place.root / "exports" / f"{source.name}-lerobot" if out is None else Path(out)
+    folder = place.root / "exports" / f"{source.name}-lerobot" if out is None else as_path("folder", out)
     os.environ.setdefault("SVT_LOG", "1")  # the AV1 encoder talks on stderr, past every log
     with telling(progress) as tell:
 

@@ -32,7 +32,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.viewing.control import SHOWN, control_blueprint, log_goal, log_step
 from dmotion_bench.viewing.filmstrip import Film, filmstrip, write_filmstrip
 from dmotion_bench.viewing.live import recording_to
-from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
+from dmotion_bench.workspace import AnyPath, Workspace, as_path, in_workspace
 
 STRIP: Final = ".png"
 
@@ -116,26 +116,27 @@ def plan(
         >>> planned.distance[0], len(planned.actions)
         (1.0, 2)
     """
-    require_known_suffix("save", save)
+    file = None if save is None else as_path("file", save)
+    require_known_suffix("save", file)
     task, steps, seed = whole("task", task, 0), whole("steps", steps, 1), whole("seed", seed, 0)
     chosen = control_scoring(
         None, planner, planner_settings, objective, objective_settings, steps=steps, seed=seed, group=1, column=column
     )
     place = Workspace.current()
     trial = open_trial(run, task, chosen, place, data)
-    if save is None or Path(save).suffix == STRIP:
-        return trial.solve(progress=progress, strip=None if save is None else Path(save))
-    with recording_to(trial.title, trial.blueprint, file=Path(save)) as recording:
+    if file is None or file.suffix == STRIP:
+        return trial.solve(progress=progress, strip=file)
+    with recording_to(trial.title, trial.blueprint, file=file) as recording:
         return trial.solve(recording, progress)
 
 
-def require_known_suffix(option: str, file: AnyPath | None) -> None:
+def require_known_suffix(option: str, file: Path | None) -> None:
     """Refuse a file that is neither for Rerun nor a filmstrip.
 
     Raises:
         UsageError: It ends in something else.
     """
-    if file is not None and Path(file).suffix not in (".rrd", STRIP):
+    if file is not None and file.suffix not in (".rrd", STRIP):
         raise UsageError(f"{option} {str(file)!r} must end in .rrd, for Rerun, or in {STRIP}, for a filmstrip.")
 
 
@@ -283,7 +284,7 @@ def open_trial(
     if run is not None and str(run) in REFERENCES and not Path(run).exists():
         dataset, who = Dataset.open(workspace.dataset(data)), str(run)
     else:
-        opened = Run.open(workspace.run(run))
+        opened = Run.open(workspace.run(run, REFERENCES))
         opened.require_aligned()
         dataset, who = Dataset.open(opened.dataset_path if data is None else workspace.dataset(data)), opened.name
         model = opened.model

@@ -5,7 +5,9 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator
 
+from dmotion_bench.errors import UsageError
 from dmotion_bench.execution.job_progress import JobProgress
+from dmotion_bench.wording import shown
 
 Tell = Callable[[JobProgress], None]
 """A function that is told what is done now, and how much of how much."""
@@ -20,14 +22,19 @@ def telling(progress: Progress) -> Iterator[Tell]:
 
     Args:
         progress: What the caller gave. A bar is shown in a notebook, or on stderr where that is a terminal.
+
+    Raises:
+        UsageError: It is something else.
     """
     if callable(progress):
         yield progress
-    elif progress:
+    elif progress is True:
         with _bar() as tell:
             yield tell
-    else:
+    elif progress is None or progress is False:
         yield lambda _: None
+    else:
+        raise UsageError(f"progress is {shown(progress)}; give a function, True for a bar, or None.")
 
 
 @contextlib.contextmanager

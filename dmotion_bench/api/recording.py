@@ -19,7 +19,7 @@ from dmotion_bench.recording.session import Recorded, record_dataset, recording_
 from dmotion_bench.registry import environment_class
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.shard import shard_count
-from dmotion_bench.workspace import AnyPath, Workspace, in_workspace
+from dmotion_bench.workspace import AnyPath, Workspace, as_path, in_workspace
 
 
 @in_workspace
@@ -92,7 +92,7 @@ def record(
         frame_skip=whole("frame_skip", frame_skip, 1),
     )
     place = Workspace.current()
-    folder = default_folder(recipe, as_preset(preset), place) if out is None else Path(out)
+    folder = default_folder(recipe, as_preset(preset), place) if out is None else as_path("folder", out)
     return record_recipe(recipe, folder, executor_for(recipe, folder, executor, workers), progress)
 
 

@@ -48,7 +48,7 @@ from dmotion_bench.specs import MOST_THREADS, Preset
 from dmotion_bench.storage.atomic import is_unused
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.wording import shown
-from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace, in_workspace
+from dmotion_bench.workspace import RUN_MANIFEST, AnyPath, Workspace, as_path, in_workspace
 
 if TYPE_CHECKING:
     import torch
@@ -151,7 +151,7 @@ def train(
     where = Workspace.current()
     model_class(model)  # a misspelt name is said before anything is loaded
     dataset = Dataset.open(where.dataset(data))
-    run = begin(request, dataset, where, None if out is None else Path(out), resume=resume)
+    run = begin(request, dataset, where, None if out is None else as_path("folder", out), resume=resume)
     complete(run, dataset, device, progress, trackers, loaders=loaders)
     return Run.open(run.path)
 

@@ -75,6 +75,9 @@ class Served:
         self._stack, self._viewer = stack, viewer
         self.url, self.ports = viewer.url, (viewer.port,)
 
+    def __repr__(self) -> str:
+        return f"<Served: {self.url}>"
+
     def wait(self) -> None:
         """Wait until the page is not served any more, as when its process was ended."""
         wait_for(self._viewer.process)
@@ -147,7 +150,7 @@ def view(
         raise UsageError("nothing is named to be shown; name a data set or a run.")
     targets = find_targets([as_path("run or data set", one) for one in asked], place)
     require_choice(targets, episodes, split)
-    other = data_of(targets, None if data is None else Path(data), place)
+    other = data_of(targets, None if data is None else as_path("data set", data), place)
     if file is None and not web:
         require_display()  # said before the work, not after it
     if animated and file is not None:

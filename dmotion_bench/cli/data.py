@@ -12,7 +12,7 @@ from dmotion_bench.cli import data_export, data_import
 from dmotion_bench.cli.options import AsJson
 from dmotion_bench.cli.stdout import print_json, say
 from dmotion_bench.specs import IMPORTED
-from dmotion_bench.wording import command
+from dmotion_bench.wording import command, counted
 
 _SIMULATORS: Final = ("gymnasium", "pymunk", "pybullet")
 """Packages that have no part in an import, although ``dataset.json`` states their versions."""
@@ -71,7 +71,11 @@ def _lines(summary: dict[str, Any]) -> list[tuple[str, str]]:
     sizes = (("video", "video_bytes"), ("labels", "labels_bytes"), ("cache", "cache_bytes"))
     return [
         *lines,
-        ("episodes", f"{summary['episodes']}: {split}; {summary['frames']} frames in {summary['shards']} shards"),
+        (
+            "episodes",
+            f"{summary['episodes']}: {split}; {counted(summary['frames'], 'frame')} "
+            f"in {counted(summary['shards'], 'shard')}",
+        ),
         ("labels", summary["labels"]),
         (
             "size",
@@ -186,8 +190,8 @@ def repair(
             f"lost. The damaged original is {done.salvaged.original}: delete it when you do not need it."
         )
     elif done.how == "restored":
-        anew = f"{len(done.shards)} shards were recorded anew, " if done.shards else "its tables were made anew, "
-        say(f"{folder} is restored: {anew}byte for byte as they were.")
+        anew = f"recorded anew: {counted(len(done.shards), 'shard')}" if done.shards else "made anew: its tables"
+        say(f"{folder} is restored, byte for byte; {anew}.")
     elif done.how == "cache":
         say(f"{folder} is sound; its damaged cache was deleted and is made anew when it is needed.")
     else:

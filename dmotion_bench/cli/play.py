@@ -15,7 +15,7 @@ from jaxtyping import Float
 from dmotion_bench.actions import Continuous, Discrete
 from dmotion_bench.cli.arrows import Arrows, arrows_of, by_number
 from dmotion_bench.cli.stdout import say
-from dmotion_bench.wording import printable
+from dmotion_bench.wording import command, printable
 
 if TYPE_CHECKING:
     from dmotion_bench.actions import ActionSpec, ActionTaken
@@ -103,6 +103,8 @@ def play(
                     taken.append(move.name)
                 _tell(taken)
     say("", err=True)
+    if save is not None:
+        say(f"Watch it with {command('dmbench view', save)}.")
 
 
 def moves(actions: ActionSpec, arrows: Arrows | None = None) -> list[Move]:

@@ -142,7 +142,7 @@ def score(
     require_control(asked, column, of_control)
     if every and runs:
         raise UsageError("--all scores every run; name runs or give --all, not both.")
-    paths = workspace.all_runs() if every else list(dict.fromkeys(workspace.run(run) for run in runs or []))
+    paths = workspace.all_runs() if every else list(dict.fromkeys(workspace.run(run, REFERENCES) for run in runs or []))
     if not paths:
         paths = [workspace.run(None)]
 

@@ -90,6 +90,8 @@ def view(
         viewing.require_display()  # said before the work, not after it
     if live:
         _follow(viewing.follower_of(targets), web, save)
+        if save is not None:
+            _tell(save)
         return
     if target.kind == "recording":
         _show(target.path, web)
@@ -103,10 +105,14 @@ def view(
         file = save or folder / "scene.rrd"
         viewing.write_scene_of(targets, file, episode or [], part, other, workspace)
         if save is not None:
-            say(f"{save}")
-            say(f"Open it with {command('dmbench view', save)} or {command('rerun', save)}.")
+            _tell(save)
         if save is None or web:
             _show(file, web)
+
+
+def _tell(file: Path) -> None:
+    say(f"{file}")
+    say(f"Open it with {command('dmbench view', file)} or {command('rerun', file)}.")
 
 
 def _follow(follower: Follower, web: bool, save: Path | None) -> None:

@@ -81,6 +81,18 @@ OTHER_KINDS: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: dm.leaderboard_build("tiny", out="data/grid_world-tiny/dataset.json"),
         "dataset.json' is a file; name a folder for the page",
     ),
+    "a number as a folder": (lambda: dm.record("grid_world", "tiny", out=3), "3 stands for no folder"),  # type: ignore[arg-type]
+    "a number as a run's folder": (lambda: dm.train("lapo", out=3), "3 stands for no folder"),  # type: ignore[arg-type]
+    "a number as a workspace": (lambda: dm.demo(3), "3 stands for no folder"),  # type: ignore[arg-type]
+    "a number as a recording": (lambda: dm.import_recordings(3, out="new"), "3 stands for no recording"),  # type: ignore[arg-type]
+    "a number as an import": (lambda: dm.import_recordings("data", out=3), "3 stands for no folder"),  # type: ignore[arg-type]
+    "a number as an export": (lambda: dm.export_dataset(out=3), "3 stands for no folder"),  # type: ignore[arg-type]
+    "a number as a plan": (lambda: dm.plan("random", save=3), "3 stands for no file"),  # type: ignore[arg-type]
+    "a number as other data": (lambda: dm.view("tiny", save="new.rrd", data=3), "3 stands for no data set"),  # type: ignore[arg-type]
+    "a text as a bar": (
+        lambda: dm.record("grid_world", "tiny", progress="bar"),  # type: ignore[arg-type]
+        "progress is 'bar'; give a function, True for a bar, or None",
+    ),
     "a number as a split": (lambda: dm.open_dataset().split(1), "no split named 1; known: test, train"),  # type: ignore[arg-type]
     "a number as a file": (lambda: dm.view("tiny", save=5), "5 stands for no file; give one name"),  # type: ignore[arg-type]
     "a number to publish": (lambda: dm.share_push(5, "new"), "5 stands for no run, data set, entry or hash"),  # type: ignore[arg-type]

@@ -24,6 +24,7 @@ def test_triplets_are_three_consecutive_frames_of_the_split(workspace: Path) -> 
     for split in ("train", "validation", "test"):
         triplets = dataset.triplets(split)
         assert len(triplets) == 10 * len(dataset.split(split))
+        assert repr(triplets) == f"<TripletDataset: {len(triplets)} triplets, without actions>"
         place = len(triplets) // 2
         sample = triplets[place]
         episode, step = int(triplets.triplets.episode[place]), int(triplets.triplets.step[place])

@@ -25,6 +25,7 @@ def test_a_page_is_served_until_it_is_closed(workspace: Path) -> None:
     page = dm.view("grid_world-tiny", web=True, episodes=[0], save="page.rrd")
     assert isinstance(page, dm.Served)
     assert (workspace / "page.rrd").stat().st_size > 1000
+    assert repr(page) == f"<Served: {page.url}>"
     with page, urllib.request.urlopen(page.url, timeout=30) as answer:
         assert answer.status == 200
     with pytest.raises(OSError, match="refused"):

@@ -48,6 +48,11 @@ def test_info_says_how_it_was_made(run: Run, folder: Path) -> None:
         assert part in said
 
 
+def test_one_shard_is_one_shard(run: Run, tmp_path: Path) -> None:
+    record_dataset(tmp_path / "data" / "small", DatasetRecipe(environment="grid_world", episodes=2, frames=5))
+    assert "10 frames in 1 shard\n" in run("info").out
+
+
 def test_info_names_what_was_set_and_what_varies(run: Run, folder: Path) -> None:
     manifest = folder / "dataset.json"
     content = json.loads(manifest.read_text())

@@ -212,6 +212,7 @@ def test_keys_drive_the_model(
     assert len(closed) == 1
     assert "3: up right right" in said.err
     assert said.err.rstrip().endswith("1: down")
+    assert said.out == f"Watch it with 'dmbench view {file}'.\n"
     contents = read(file)
     for entity in ("/imagined", "/simulator"):
         assert [place for place, _ in contents[entity]["Image:buffer"]] == list(range(6)), entity

@@ -217,7 +217,7 @@ def _doubt(over: PassedOver) -> str:
 def _at(path: Path, camera: str | None, faults: dict[Path, RecordingImportError]) -> list[Source]:
     """The recordings at a path; see ``_in_folder``."""
     if not path.exists():
-        raise RecordingImportError(f"there is no {str(path)!r}.")
+        raise RecordingImportError(f"there is no {str(path)!r}; name a file or a folder of recordings.")
     if path.is_dir():
         return _in_folder(path, camera, faults)
     return [Source(path=path, kind=(_suffix_kind(path) or Kind.MCAP) if _is_empty(path) else kind_of(path))]

@@ -15,9 +15,15 @@ import dmotion_bench as dm
 from dmotion_bench.errors import DmbenchError, UsageError
 from dmotion_bench.registry import model_class
 
+untyped: Any = dm
+"""For arguments of kinds that a type checker would refuse."""
+
 REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
     "a true seed": (lambda: dm.record("grid_world", "tiny", seed=True, out="new"), "seed is True; it must be a whole"),
-    "half a seed": (lambda: dm.record("grid_world", "tiny", seed=1.5, out="new"), "seed is 1.5; it must be a whole"),  # type: ignore[arg-type]
+    "half a seed": (
+        lambda: untyped.record("grid_world", "tiny", seed=1.5, out="new"),
+        "seed is 1.5; it must be a whole",
+    ),
     "seed": (lambda: dm.record("grid_world", "tiny", seed=-1, out="new"), "a whole number from 0 to 9007199254740991"),
     "one frame": (lambda: dm.record("grid_world", "tiny", frames=1, out="new"), "frames is 1; .* of 3 or more"),
     "two frames": (lambda: dm.record("grid_world", "tiny", frames=2, out="new"), "frames is 2; .* of 3 or more"),
@@ -32,23 +38,26 @@ REFUSED: dict[str, tuple[Callable[[], Any], str]] = {
         "'--loaders 2' is for a training that reads the compressed files; add '--stream'",
     ),
     "loaders": (lambda: dm.train("lapo", loaders=0, out="new"), "loaders is 0; .* from 1 to 1024"),
-    "true seed": (lambda: dm.train("lapo", seed=np.bool_(1), out="new"), r"seed is .*True.*; it must be a whole"),  # type: ignore[arg-type]
+    "true seed": (lambda: untyped.train("lapo", seed=np.bool_(1), out="new"), r"seed is .*True.*; it must be a whole"),
     "device": (lambda: dm.train("lapo", device=torch.device("meta"), out="new"), "no device named 'meta'"),
     "no steps": (lambda: dm.view("tiny", save="new.gif", steps=0), "steps is 0; .* of 1 or more"),
     "fewer steps": (lambda: dm.view("tiny", save="new.gif", steps=-3), "steps is -3; .* of 1 or more"),
-    "episode": (lambda: dm.view("tiny", save="new.rrd", episodes=3), r"episodes is 3; give a list .* such as \[0\]"),  # type: ignore[arg-type]
-    "episode's name": (lambda: dm.view("tiny", save="new.rrd", episodes="3"), "episodes is '3'; give a list"),  # type: ignore[arg-type]
-    "half an episode": (lambda: dm.view("tiny", save="new.rrd", episodes=[0.5]), "episode is 0.5; it must be"),  # type: ignore[list-item]
+    "episode": (
+        lambda: untyped.view("tiny", save="new.rrd", episodes=3),
+        r"episodes is 3; give a list .* such as \[0\]",
+    ),
+    "episode's name": (lambda: untyped.view("tiny", save="new.rrd", episodes="3"), "episodes is '3'; give a list"),
+    "half an episode": (lambda: untyped.view("tiny", save="new.rrd", episodes=[0.5]), "episode is 0.5; it must be"),
     "plan's seed": (lambda: dm.plan("random", seed=-1), "seed is -1; .* of 0 or more"),
     "plan's task": (lambda: dm.plan("random", task=-1), "task is -1; .* of 0 or more"),
     "plan's steps": (lambda: dm.plan("random", steps=0), "steps is 0; .* of 1 or more"),
     "demo's seed": (lambda: dm.demo("new", seed=True), "seed is True; it must be a whole"),
     "batch": (lambda: dm.score("tiny", batch_size=0), "batch_size is 0; .* of 1 or more"),
     "a reference": (lambda: dm.score("oracle", "control"), r"'oracle' is a reference .*dm\.plan\('oracle'\)"),
-    "half a step": (lambda: dm.score("tiny", horizon=2.5), "horizon is 2.5; .* of 1 or more"),  # type: ignore[arg-type]
+    "half a step": (lambda: untyped.score("tiny", horizon=2.5), "horizon is 2.5; .* of 1 or more"),
     "planner scored": (lambda: dm.score("tiny", planner="icem"), "planner would change nothing without control"),
     "tasks scored": (lambda: dm.score("tiny", "control", tasks=0), "tasks is 0; .* of 1 or more"),
-    "a text": (lambda: dm.open_dataset().video("0"), "episode is '0'; it must be a whole number"),  # type: ignore[arg-type]
+    "a text": (lambda: untyped.open_dataset().video("0"), "episode is '0'; it must be a whole number"),
     "none": (lambda: dm.open_dataset().labels(-1), "has no episode -1; it has 0 to 19"),
 }
 
@@ -63,48 +72,60 @@ def test_numbers_out_of_the_command_line_s_bounds_are_refused(workspace: Path, n
 
 
 OTHER_KINDS: dict[str, tuple[Callable[[], Any], str]] = {
-    "a number as a run": (lambda: dm.load_run(5), "5 stands for no run; give one name, or one path"),  # type: ignore[arg-type]
-    "runs as a run": (lambda: dm.score(["tiny"], "prediction"), r"\['tiny'\] stands for no run; give one name"),  # type: ignore[arg-type]
-    "a number to view": (lambda: dm.view(5, save="new.rrd"), "5 stands for no"),  # type: ignore[arg-type]
-    "a number as data": (lambda: dm.train("lapo", 5, out="new"), "5 stands for no data set"),  # type: ignore[arg-type]
-    "a number of metrics": (lambda: dm.score("tiny", 3), "metrics names 3; a group of figures is a word: prediction"),  # type: ignore[arg-type]
-    "no metric": (lambda: dm.score("tiny", [None]), "metrics names None; a group of figures is a word"),  # type: ignore[list-item]
+    "a number as a run": (lambda: untyped.load_run(5), "5 stands for no run; give one name, or one path"),
+    "runs as a run": (lambda: untyped.score(["tiny"], "prediction"), r"\['tiny'\] stands for no run; give one name"),
+    "a number to view": (lambda: untyped.view(5, save="new.rrd"), "5 stands for no"),
+    "a number as data": (lambda: untyped.train("lapo", 5, out="new"), "5 stands for no data set"),
+    "a number of metrics": (
+        lambda: untyped.score("tiny", 3),
+        "metrics names 3; a group of figures is a word: prediction",
+    ),
+    "no metric": (lambda: untyped.score("tiny", [None]), "metrics names None; a group of figures is a word"),
     "a planner's setting": (
-        lambda: dm.score("tiny", "control", planner_settings=[3]),  # type: ignore[list-item]
+        lambda: untyped.score("tiny", "control", planner_settings=[3]),
         "a setting is 3; it can be a text such as 'epochs=5'",
     ),
-    "settings": (lambda: dm.record("grid_world", "tiny", out="new", settings=3), "a setting is 3; it can be a text"),  # type: ignore[arg-type]
-    "a share as a text": (lambda: dm.leaderboard_check("tiny", differing="0.1"), "differing is '0.1'; it must be a sh"),  # type: ignore[arg-type]
-    "no share": (lambda: dm.leaderboard_check("tiny", differing=None), "differing is None; it must be a share"),  # type: ignore[arg-type]
-    "a number to check": (lambda: dm.leaderboard_check(7), "7 stands for no entry or run"),  # type: ignore[arg-type]
+    "settings": (
+        lambda: untyped.record("grid_world", "tiny", out="new", settings=3),
+        "a setting is 3; it can be a text",
+    ),
+    "a share as a text": (
+        lambda: untyped.leaderboard_check("tiny", differing="0.1"),
+        "differing is '0.1'; it must be a sh",
+    ),
+    "no share": (lambda: untyped.leaderboard_check("tiny", differing=None), "differing is None; it must be a share"),
+    "a number to check": (lambda: untyped.leaderboard_check(7), "7 stands for no entry or run"),
     "a file as a page": (
         lambda: dm.leaderboard_build("tiny", out="data/grid_world-tiny/dataset.json"),
         "dataset.json' is a file; name a folder for the page",
     ),
-    "a number as a folder": (lambda: dm.record("grid_world", "tiny", out=3), "3 stands for no folder"),  # type: ignore[arg-type]
-    "a number as a run's folder": (lambda: dm.train("lapo", out=3), "3 stands for no folder"),  # type: ignore[arg-type]
-    "a number as a workspace": (lambda: dm.demo(3), "3 stands for no folder"),  # type: ignore[arg-type]
-    "a number as a recording": (lambda: dm.import_recordings(3, out="new"), "3 stands for no recording"),  # type: ignore[arg-type]
-    "a number as an import": (lambda: dm.import_recordings("data", out=3), "3 stands for no folder"),  # type: ignore[arg-type]
-    "a number as an export": (lambda: dm.export_dataset(out=3), "3 stands for no folder"),  # type: ignore[arg-type]
-    "a number as a plan": (lambda: dm.plan("random", save=3), "3 stands for no file"),  # type: ignore[arg-type]
-    "a number as other data": (lambda: dm.view("tiny", save="new.rrd", data=3), "3 stands for no data set"),  # type: ignore[arg-type]
+    "a number as a folder": (lambda: untyped.record("grid_world", "tiny", out=3), "3 stands for no folder"),
+    "a number as a run's folder": (lambda: untyped.train("lapo", out=3), "3 stands for no folder"),
+    "a number as a workspace": (lambda: untyped.demo(3), "3 stands for no folder"),
+    "a number as a recording": (lambda: untyped.import_recordings(3, out="new"), "3 stands for no recording"),
+    "a number as an import": (lambda: untyped.import_recordings("data", out=3), "3 stands for no folder"),
+    "a number as an export": (lambda: untyped.export_dataset(out=3), "3 stands for no folder"),
+    "a number as a plan": (lambda: untyped.plan("random", save=3), "3 stands for no file"),
+    "a number as other data": (lambda: untyped.view("tiny", save="new.rrd", data=3), "3 stands for no data set"),
     "a text as a bar": (
-        lambda: dm.record("grid_world", "tiny", progress="bar"),  # type: ignore[arg-type]
+        lambda: untyped.record("grid_world", "tiny", progress="bar"),
         "progress is 'bar'; give a function, True for a bar, or None",
     ),
-    "a number as a split": (lambda: dm.open_dataset().split(1), "no split named 1; known: test, train"),  # type: ignore[arg-type]
-    "a number as a file": (lambda: dm.view("tiny", save=5), "5 stands for no file; give one name"),  # type: ignore[arg-type]
-    "a number to publish": (lambda: dm.share_push(5, "new"), "5 stands for no run, data set, entry or hash"),  # type: ignore[arg-type]
-    "a number to fetch": (lambda: dm.share_pull(5, "new"), "5 stands for no run, data set, entry or hash"),  # type: ignore[arg-type]
-    "no place": (lambda: dm.share_push("tiny", None), "None stands for no place to share in"),  # type: ignore[arg-type]
-    "a number as a name": (lambda: dm.register_model(5, model_class("lapo")), "5 cannot be a name here"),  # type: ignore[arg-type]
-    "a number as a table": (lambda: dm.reproduce(5, dry_run=True), "5 is no table; give a table's name"),  # type: ignore[arg-type]
-    "a number of models": (lambda: dm.reproduce("paper", models=5), "no model of this table named 5; known"),  # type: ignore[arg-type]
-    "a number as a world": (lambda: dm.reproduce("paper", worlds=[5]), "no world of this table named 5; known"),  # type: ignore[list-item]
-    "a number as speeds": (lambda: dm.reproduce("paper", speeds=5, dry_run=True), "5 stands for no file of speeds"),  # type: ignore[arg-type]
+    "a number as a split": (lambda: untyped.open_dataset().split(1), "no split named 1; known: test, train"),
+    "a number as a file": (lambda: untyped.view("tiny", save=5), "5 stands for no file; give one name"),
+    "a number to publish": (lambda: untyped.share_push(5, "new"), "5 stands for no run, data set, entry or hash"),
+    "a number to fetch": (lambda: untyped.share_pull(5, "new"), "5 stands for no run, data set, entry or hash"),
+    "no place": (lambda: untyped.share_push("tiny", None), "None stands for no place to share in"),
+    "a number as a name": (lambda: untyped.register_model(5, model_class("lapo")), "5 cannot be a name here"),
+    "a number as a table": (lambda: untyped.reproduce(5, dry_run=True), "5 is no table; give a table's name"),
+    "a number of models": (lambda: untyped.reproduce("paper", models=5), "no model of this table named 5; known"),
+    "a number as a world": (lambda: untyped.reproduce("paper", worlds=[5]), "no world of this table named 5; known"),
+    "a number as speeds": (
+        lambda: untyped.reproduce("paper", speeds=5, dry_run=True),
+        "5 stands for no file of speeds",
+    ),
     "a split's protocol": (
-        lambda: dm.open_dataset().triplets("test", protocol="Paper"),  # type: ignore[arg-type]
+        lambda: untyped.open_dataset().triplets("test", protocol="Paper"),
         "no protocol named 'Paper'; did you mean 'paper'",
     ),
 }
@@ -132,6 +153,8 @@ def test_whole_numbers_may_be_numpy_s(workspace: Path) -> None:
     dm.record("grid_world", "tiny", seed=3, episodes=4, frames=6, out="data/same")
     assert (recorded.episodes, recorded.frames) == (4, 24)
     assert bytes_of(workspace / "data" / "four") == bytes_of(workspace / "data" / "same") != {}
-    run = dm.train("lapo", "grid_world-tiny", seed=np.int64(5), device=torch.device("cpu"), settings={"epochs": 0.1})  # type: ignore[arg-type]
+    run = untyped.train(
+        "lapo", "grid_world-tiny", seed=np.int64(5), device=torch.device("cpu"), settings={"epochs": 0.1}
+    )
     assert dm.load_run(run).spec.seed == 5
-    assert len(dm.open_dataset("four").video(np.int64(0))) == 6  # type: ignore[arg-type]
+    assert len(untyped.open_dataset("four").video(np.int64(0))) == 6

@@ -142,14 +142,14 @@ def test_what_is_of_another_kind_costs_a_sentence(workspace: Path, name: str) ->
 
 @pytest.mark.slow
 def test_whole_numbers_may_be_numpy_s(workspace: Path) -> None:
-    recorded = dm.record(
+    recorded = untyped.record(
         "grid_world",
         "tiny",
         seed=np.int64(3),
         episodes=np.int32(4),
         frames=np.uint8(6),
         out="data/four",
-    )  # type: ignore[call-overload]
+    )
     dm.record("grid_world", "tiny", seed=3, episodes=4, frames=6, out="data/same")
     assert (recorded.episodes, recorded.frames) == (4, 24)
     assert bytes_of(workspace / "data" / "four") == bytes_of(workspace / "data" / "same") != {}

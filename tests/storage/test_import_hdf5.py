@@ -177,6 +177,36 @@ def test_a_replay_buffer_is_told_to_be_cut(tmp_path: Path) -> None:
     )
 
 
+@pytest.mark.parametrize(
+    ("name", "marks"),
+    [
+        ("terminals", [0, 0, 1, 0, 0, 1, 0, 0, 1]),
+        ("timeouts", np.array([[0, 0, 1, 0, 1, 1, 0, 0, 0]], bool).T),
+        ("dones", [0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
+        ("is_first", [1, 0, 0, 1, 0, 0, 1, 0, 0]),
+        ("step_type", [0, 1, 2, 0, 1, 2, 0, 1, 2]),
+    ],
+)
+def test_episodes_one_behind_the_other_are_no_single_one(tmp_path: Path, name: str, marks: object) -> None:
+    """As D4RL and V-D4RL keep them: an episode would lead from the end of one to the beginning of the next."""
+    buffer = {"/": {"observations": video(9), "actions": np.zeros((9, 2)), name: np.array(marks)}}
+    refused(
+        trajectories(tmp_path / "a.h5", buffer), rf"several episodes.*'{name}' tells of 2 ends among its 9 pictures"
+    )
+
+
+@pytest.mark.parametrize("marks", [[0] * 9, [0] * 8 + [1], [0, 0, 0, 0, 0, 1, 1, 1, 1], [1] * 9, [0, 0, 1, 0, 0, 1]])
+def test_marks_of_a_single_episode_do_not_part_it(tmp_path: Path, marks: list[int]) -> None:
+    groups = {"/": {"observations": video(9), "terminals": np.array(marks)}}
+    assert imported(trajectories(tmp_path / "a.h5", groups)).lengths.tolist() == [9]
+
+
+def test_a_demonstration_in_a_group_of_its_own_may_succeed_several_times(tmp_path: Path) -> None:
+    """As robomimic's ``dones`` say it."""
+    groups = {"data/demo_0": {"obs/top": video(9), "dones": np.array([0, 0, 0, 1, 0, 0, 1, 1, 1])}}
+    assert imported(trajectories(tmp_path / "a.h5", groups)).lengths.tolist() == [9]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("channels_first", [False, True])
 @pytest.mark.parametrize("kind", [np.uint8, np.float16, np.float32, np.float64])

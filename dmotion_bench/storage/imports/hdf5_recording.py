@@ -16,7 +16,7 @@ import itertools
 import json
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -37,16 +37,18 @@ from dmotion_bench.storage.imports.continuous_commands import (
 )
 from dmotion_bench.storage.imports.episode_faults import EpisodeFaults, Size
 from dmotion_bench.storage.imports.hdf5_contents import ERRORS, datasets, described, fault, names, own
+from dmotion_bench.storage.imports.hdf5_ends import episode_ends
 from dmotion_bench.storage.imports.hdf5_pictures import KINDS, PackedPictures, Pixels, holds_pictures, pictures_of
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.natural_order import natural
 from dmotion_bench.storage.imports.near_names import did_you_mean
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
-from dmotion_bench.wording import shown
+from dmotion_bench.wording import counted, shown
 
 DEMONSTRATIONS: Final = "data"
 NEXT: Final = "next_obs/"  # robomimic's copy of the pictures, each in the place of the one before it
 CHUNK_CACHE: Final = 64 * MIB  # a chunk of many pictures is inflated once, not once a picture
+_WHOLE: Final = "/"  # the demonstration of a file that has no group for each
 _NUMBER: Final = re.compile(r"\d+")
 _CALLED: Final = frozenset({"demo_#", "episode_#", "traj_#"})
 """What groups at the root are called that are demonstrations (ManiSkill: ``traj_0``), whatever is in them."""
@@ -97,6 +99,8 @@ class Hdf5Recording:
             self._actions = None if actions is None else self._named(others, actions, "actions", found)
             if self._actions is not None and self._fields:
                 self._check_fields(found[self._actions])
+            if self._declared == [_WHOLE]:
+                self._check_is_one(found)
             known_hz = source_hz or _control_frequency(file)
             self._hz, self._is_rate_assumed = known_hz or default_hz, known_hz is None
 
@@ -195,7 +199,7 @@ class Hdf5Recording:
         data = own(file, DEMONSTRATIONS)
         if not isinstance(data, h5py.Group):
             groups = _groups(file)
-            return [f"/{name}" for name in groups] if self._are_demonstrations(file, groups) else ["/"]
+            return [f"/{name}" for name in groups] if self._are_demonstrations(file, groups) else [_WHOLE]
         groups = _groups(data)
         if not groups:
             listed = "".join(f"\n  {name} {described(found)}" for name, found in list(datasets(file).items())[:LISTED])
@@ -229,6 +233,21 @@ class Hdf5Recording:
         if patterns <= _CALLED:
             return bool(counts)
         return any(len(shape) == 2 and {shape[0], shape[0] + 1} & counts for shape in shapes)
+
+    def _check_is_one(self, found: Mapping[str, h5py.Dataset]) -> None:
+        """See that the data sets of a file without a group for each demonstration hold a single one.
+
+        Raises:
+            RecordingImportError: They hold several, one behind the other, as a replay buffer does.
+        """
+        count = len(found[self._camera])
+        for name, dataset in found.items():
+            if ends := episode_ends(name, dataset, count, self._limits):
+                raise self._bad(
+                    f"holds several episodes, one behind the other: {name!r} tells of {counted(ends, 'end')} among its "
+                    f"{count:,} pictures. Write each episode into a group of its own, such as "
+                    f"'{DEMONSTRATIONS}/demo_0/obs/image' and '{DEMONSTRATIONS}/demo_0/actions'"
+                )
 
     def _typical(self, file: h5py.File, camera: str | None) -> tuple[dict[str, h5py.Dataset], list[str]]:
         """The data sets of the demonstration by which all are read, and those of them with pictures.

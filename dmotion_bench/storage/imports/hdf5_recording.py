@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -269,7 +270,10 @@ class Hdf5Recording:
         if meant:
             many = f"{len(meant)} cameras" if asked is None else f"{len(meant)} data sets {asked!r}"
             listed = "".join(f"\n  --{option} {name}" for name in meant[:LISTED])
-            raise self._bad(f"has {many}; choose one:{listed}", stop="")
+            hint = ""
+            if self._declared == [_WHOLE] and len({_NUMBER.sub("#", name) for name in meant}) < len(meant):
+                hint = f"\nIf each is of another episode, move the episodes' groups into {DEMONSTRATIONS!r}."
+            raise self._bad(f"has {many}; choose one:{listed}{hint}", stop="")
         first = self._declared[0]
         listed = "".join(f"\n  {name} {described(dataset)}" for name, dataset in list(found.items())[:LISTED])
         wanted = f"{asked!r} for '--{option}'" if asked is not None else f"pictures ({KINDS})"
@@ -301,7 +305,7 @@ class Hdf5Recording:
         if self._actions is None:
             return None
         given = self._dataset(file, demonstration, self._actions)
-        if len(given.shape) not in (1, 2) or len(given) not in (len(times_ns), len(times_ns) - 1):
+        if not given.shape or len(given) not in (len(times_ns), len(times_ns) - 1):
             raise self._bad(
                 f"has {described(given)} as actions in {given.name!r}; there must be one for each of the "
                 f"{len(times_ns)} pictures"
@@ -320,7 +324,7 @@ class Hdf5Recording:
 
     def _check_fields(self, given: h5py.Dataset) -> None:
         """See that the first demonstration has the fields: a name that none has is no damage of one."""
-        width = given.shape[1] if len(given.shape) > 1 else 1
+        width = math.prod(given.shape[1:])
         try:
             places_of(self._fields, column_names(str(given.name).rpartition("/")[2], (), min(width, MOST_NUMBERS)))
         except BadCommands as error:
@@ -333,7 +337,8 @@ class Hdf5Recording:
             raise self._bad(f"is damaged: {given.name!r}: {str(error)[:120]}") from error
         feature = str(given.name).rpartition("/")[2]
         try:
-            return from_rows(values, times_ns, feature, fields=self._fields, most=self._limits.numbers)
+            rows = values.reshape(len(values), math.prod(values.shape[1:]))
+            return from_rows(rows, times_ns, feature, fields=self._fields, most=self._limits.numbers)
         except BadCommands as error:
             raise self._bad(f"{error} ({given.name!r})") from error
 

@@ -126,7 +126,11 @@ class McapRecording:
                 f"{str(self.path)!r} has no pictures: there is no message on {self._camera!r}{where}."
             )
         if size is None:
-            raise RecordingImportError(f"{str(self.path)!r}: no message on {self._camera!r} gives a picture.")
+            raise RecordingImportError(
+                f"{str(self.path)!r}: no message on {self._camera!r} gives a picture. A video is decoded from a key "
+                "frame on that has the headers with it (of H.264 and H.265 the parameter sets, all after start codes): "
+                "have the encoder repeat them before each key frame."
+            )
         if commands is not None and not commands.count:
             raise RecordingImportError(f"{str(self.path)!r} has no actions: no message is on {self._actions!r}.")
         numbers = np.array(visible)

@@ -272,7 +272,7 @@ class McapRecording:
         if self._clock is not Clock.LOG or not (intervals < 0).any():
             return times_ns, others_ns
         furthest = int(intervals.argmin())
-        if others_ns[0] and (np.diff(others_ns) > 0).all() and -intervals[furthest] > np.median(intervals):
+        if is_ascending(others_ns) and -intervals[furthest] > np.median(intervals):
             raise self._set_back(furthest, -int(intervals[furthest]))
         order = np.argsort(times_ns, kind="stable")
         last_before = np.maximum.accumulate(order)  # what has to be read before a message, in time, can be given
@@ -327,7 +327,7 @@ class McapRecording:
     def _time(self, picture: Picture, message: RawMessage, count: int) -> int:
         if self._clock is Clock.LOG:
             return message.log_ns
-        if not picture.stamp_ns:
+        if not picture.stamp_ns and count:  # a simulator's clock may begin at 0
             raise RecordingImportError(
                 f"{str(self.path)!r}: message {count} on {self._camera!r} has no time stamp of its own; "
                 "use the time of recording with '--clock log'."

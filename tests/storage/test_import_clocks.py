@@ -17,6 +17,7 @@ from dmotion_bench.storage.imports.timeline import gaps_ns
 from dmotion_bench.storage.imports.two_clocks import Jump, Times, apart_s, delay_ns, is_steadier, jumps
 
 HOUR_NS = 3600 * 10**9
+HALF_NS = 5 * 10**8
 SMALL = ImportOptions(size=32)
 WITH_ACTIONS = ImportOptions(size=32, actions="/action")
 
@@ -52,6 +53,17 @@ def test_a_jump_is_found_where_it_is() -> None:
     twice = jumps(jumped(stamps, (10, HOUR_NS), (30, 2 * HOUR_NS)) + jitter, stamps)
     assert [jump.picture for jump in twice] == [10, 30]
     assert [round(jump.by_ns / HOUR_NS) for jump in twice] == [1, 2]
+
+
+def test_a_simulator_s_clock_begins_at_0(tmp_path: Path) -> None:
+    stamps = taken() - taken()[0]
+    bursts = recording(tmp_path / "a", taken()[0] + stamps // HALF_NS * HALF_NS, stamps)
+    header = ImportOptions(size=32, hz=30, clock=Clock.HEADER)
+    dataset = Dataset.open(import_recordings([bursts], tmp_path / "out", header).path)
+    assert dataset.video(0)[:, 0, 0, 0].tolist() == list(range(40))
+    set_back = recording(tmp_path / "b", jumped(taken(), (20, -HALF_NS)), stamps)
+    with pytest.raises(RecordingImportError, match="the recorder's clock was set back; use '--clock header'"):
+        import_recordings([set_back], tmp_path / "no", SMALL)
 
 
 def test_pictures_of_one_time_are_told_of(tmp_path: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -169,12 +170,65 @@ def test_cameras_at_the_root_are_no_demonstrations(tmp_path: Path) -> None:
     np.testing.assert_array_equal(imported(file, replace(OPTIONS, camera="cam_1/rgb")).video(0), frames[6:])
 
 
+def test_episodes_in_another_group_than_data_are_told_where_to_go(tmp_path: Path) -> None:
+    episodes = {f"episodes/ep_{number}": {"rgb": video(6), "action": np.zeros((6, 2))} for number in range(2)}
+    way_out = "--camera episodes/ep_1/rgb\nIf each is of another episode, move the episodes' groups into 'data'."
+    refused(trajectories(tmp_path / "a.h5", episodes), re.escape(way_out))
+    views = {"": {"front": video(6), "wrist": video(6)}}
+    refused(trajectories(tmp_path / "b.h5", views), "--camera wrist$")
+
+
+@pytest.mark.parametrize("shape", [(1, 7), (2, 3), (2, 3, 2)])
+def test_actions_in_tables_of_tables_are_rows_of_numbers(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    """As of two arms."""
+    actions = np.random.default_rng(0).uniform(size=(9, *shape))
+    file = trajectories(tmp_path / "a.h5", {"/": {"top": video(9), "action": actions}})
+    dataset = imported(file, replace(OPTIONS, actions="action"))
+    np.testing.assert_array_equal(dataset.states(0).actions, actions.reshape(9, -1)[:8])
+    one = Dataset.open(
+        import_recordings(
+            [file], tmp_path / "one", replace(OPTIONS, actions="action", action_fields=("action.5",))
+        ).path
+    )
+    np.testing.assert_array_equal(one.states(0).actions[:, 0], actions.reshape(9, -1)[:8, 5])
+
+
 def test_a_replay_buffer_is_told_to_be_cut(tmp_path: Path) -> None:
     buffer = {"data": {"img": video(6)}, "meta": {"episode_ends": np.array([3, 6])}}
     refused(
         trajectories(tmp_path / "a.h5", buffer),
         "no demonstrations in 'data': .* a group of its own.* are:\n  data/img 6 x .*\n  meta/episode_ends 2 int64",
     )
+
+
+@pytest.mark.parametrize(
+    ("name", "marks"),
+    [
+        ("terminals", [0, 0, 1, 0, 0, 1, 0, 0, 1]),
+        ("timeouts", np.array([[0, 0, 1, 0, 1, 1, 0, 0, 0]], bool).T),
+        ("dones", [0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0]),
+        ("is_first", [1, 0, 0, 1, 0, 0, 1, 0, 0]),
+        ("step_type", [0, 1, 2, 0, 1, 2, 0, 1, 2]),
+    ],
+)
+def test_episodes_one_behind_the_other_are_no_single_one(tmp_path: Path, name: str, marks: object) -> None:
+    """As D4RL and V-D4RL keep them: an episode would lead from the end of one to the beginning of the next."""
+    buffer = {"/": {"observations": video(9), "actions": np.zeros((9, 2)), name: np.array(marks)}}
+    refused(
+        trajectories(tmp_path / "a.h5", buffer), rf"several episodes.*'{name}' tells of 2 ends among its 9 pictures"
+    )
+
+
+@pytest.mark.parametrize("marks", [[0] * 9, [0] * 8 + [1], [0, 0, 0, 0, 0, 1, 1, 1, 1], [1] * 9, [0, 0, 1, 0, 0, 1]])
+def test_marks_of_a_single_episode_do_not_part_it(tmp_path: Path, marks: list[int]) -> None:
+    groups = {"/": {"observations": video(9), "terminals": np.array(marks)}}
+    assert imported(trajectories(tmp_path / "a.h5", groups)).lengths.tolist() == [9]
+
+
+def test_a_demonstration_in_a_group_of_its_own_may_succeed_several_times(tmp_path: Path) -> None:
+    """As robomimic's ``dones`` say it."""
+    groups = {"data/demo_0": {"obs/top": video(9), "dones": np.array([0, 0, 0, 1, 0, 0, 1, 1, 1])}}
+    assert imported(trajectories(tmp_path / "a.h5", groups)).lengths.tolist() == [9]
 
 
 @pytest.mark.slow
@@ -216,6 +270,19 @@ def test_packed_pictures(tmp_path: Path, packing: Any, varying: bool, form: str,
     dataset = imported(path)
     np.testing.assert_array_equal(dataset.video(0), frames)
     assert dataset.recipe.parameters["camera"] == CAM_HIGH
+
+
+@pytest.mark.parametrize("kind", [np.bytes_, np.void], ids=["texts", "blocks"])
+def test_pictures_packed_into_texts(tmp_path: Path, kind: type[np.generic]) -> None:
+    """As RoboTwin's scripts write them, all as long as the longest."""
+    frames = video(7)
+    files = [file.tobytes() for file in packed(frames, "PNG")]
+    texts = np.array([kind(file.ljust(max(map(len, files)), b"\0")) for file in files])
+    names = [f"scene-{number}" for number in range(7)]
+    file = trajectories(tmp_path / "a.h5", {"observation/head": {"rgb": texts, "scene": np.array(names, "S")}})
+    dataset = imported(file)
+    np.testing.assert_array_equal(dataset.video(0), frames)
+    assert dataset.recipe.parameters["camera"] == "observation/head/rgb"
 
 
 def test_packed_jpeg_keeps_its_colours(tmp_path: Path) -> None:

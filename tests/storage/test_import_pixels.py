@@ -17,12 +17,13 @@ from dmotion_bench.storage.imports import pixels
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture, RawPicture
 from dmotion_bench.storage.imports.fitting import Fit, fitted
 from dmotion_bench.storage.imports.limits import ImportLimits
-from dmotion_bench.storage.imports.pixels import demosaic, size_of, to_rgb
+from dmotion_bench.storage.imports.pixels import WIDE, demosaic, size_of, to_rgb
 
 LIMITS = ImportLimits()
 PATTERNS = ["rggb", "bggr", "gbrg", "grbg"]
 GREEN = np.array([[0, 1, 0], [1, 4, 1], [0, 1, 0]]) / 4
 SIXTEEN_BITS = compressed(np.full((4, 4), 256 * 9 + 77, np.uint16), "png")
+QUALITY: dict[str, dict[str, int]] = {"png": {}, "jpeg": {"quality": 100}}
 OTHER = np.array([[1, 2, 1], [2, 4, 2], [1, 2, 1]]) / 4
 
 
@@ -89,11 +90,31 @@ def test_a_palette_gives_its_colours_whatever_their_alpha(alpha: bytes | None) -
     np.testing.assert_array_equal(got, colours[[[0, 1], [2, 1]]])
 
 
-def test_mono16_of_either_byte_order() -> None:
-    values = np.arange(16, dtype=np.uint16).reshape(4, 4) * 4000
-    for order, big in (("<u2", False), (">u2", True)):
-        got = to_rgb(raw("mono16", values.astype(order).tobytes(), 4, 4, big_endian=big), LIMITS)
-        np.testing.assert_array_equal(got[..., 2], values >> 8)
+@pytest.mark.parametrize("kind", ["png", "jpeg"])
+@pytest.mark.parametrize("encoding", ["bayer_grbg8", "bayer_grbg16"])
+def test_a_mosaic_that_image_transport_has_packed_gets_its_colours(kind: str, encoding: str) -> None:
+    mosaic = mosaic_of(np.broadcast_to(np.array([200, 90, 30], np.uint8), (16, 16, 3)), "grbg")
+    wide = encoding.endswith("16") and kind == "png"
+    packed = compressed(mosaic.astype(np.uint16) << 8 | 77 if wide else mosaic, kind, **QUALITY[kind])
+    got = to_rgb(CompressedPicture(stamp_ns=0, format=f"{encoding}; {kind} compressed ", data=packed), LIMITS)
+    assert np.abs(got.astype(int) - [200, 90, 30]).max() <= (0 if kind == "png" else 3)
+
+
+def test_a_picture_in_colours_is_no_mosaic_whatever_its_format_says() -> None:
+    frame = video(1, 8, 8)[0]
+    picture = CompressedPicture(stamp_ns=0, format="bayer_grbg8; png compressed bgr8", data=compressed(frame, "png"))
+    np.testing.assert_array_equal(to_rgb(picture, LIMITS), frame)
+
+
+@pytest.mark.parametrize(("order", "big"), [("<u2", False), (">u2", True)])
+@pytest.mark.parametrize("encoding", sorted(WIDE))
+def test_of_16_bits_a_channel_the_upper_8_are_kept(encoding: str, order: str, big: bool) -> None:
+    narrow = WIDE[encoding]
+    bytes_a_pixel = {"rgb8": 3, "bgr8": 3, "rgba8": 4, "bgra8": 4}.get(narrow, 1)
+    upper = np.random.default_rng(0).integers(0, 256, (4, 6 * bytes_a_pixel), dtype=np.uint8)
+    wide = (upper.astype(np.uint16) << 8 | 177).astype(order)
+    got = to_rgb(raw(encoding, wide.tobytes(), 4, 6, big_endian=big), LIMITS)
+    np.testing.assert_array_equal(got, to_rgb(raw(narrow, upper.tobytes(), 4, 6), LIMITS))
 
 
 @pytest.mark.parametrize(
@@ -107,6 +128,8 @@ def test_mono16_of_either_byte_order() -> None:
         (raw("32FC1", b"\0" * 64, 4, 4), "depth is no picture"),
         (raw("yuyv", b"\0" * 60, 4, 5), "stores them in pairs"),
         (raw("bayer_rggb8", b"\0" * 4, 1, 4), "too few for its 2x2 pattern"),
+        (raw("bayer_rggb16", b"\0" * 8, 1, 4), "too few for its 2x2 pattern"),
+        (raw("rgb16", b"\0" * 95, 4, 4), "declares 4x4 pixels of rgb16, 96 bytes, but has 95"),
         (CompressedPicture(stamp_ns=0, format="jpeg", data=b"no picture"), "are no JPEG, PNG or WebP file"),
         (CompressedPicture(stamp_ns=0, format="16UC1; compressedDepth", data=b""), "depth is no picture"),
         (CompressedPicture(stamp_ns=0, format="16UC1; png compressed ", data=SIXTEEN_BITS), "depth is no picture"),

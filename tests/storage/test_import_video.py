@@ -129,6 +129,14 @@ def test_pixels_that_are_not_square_are_told_of(tmp_path: Path, aspect: Fraction
     assert ("not square" in sentence) is said
 
 
+@pytest.mark.parametrize(("flags", "said"), [("+ildct+ilme", True), ("", False)])
+def test_interlaced_pictures_are_told_of(tmp_path: Path, flags: str, said: bool) -> None:
+    settings = {"flags": flags} if flags else {}
+    file = video_file(tmp_path / "a.mkv", moving(5), encoder=("mpeg2video", "yuv420p", settings))
+    told = recording(file).survey().told
+    assert [sentence.startswith("5 of 5 pictures in ") for sentence in told] == [True] * said
+
+
 def test_the_suffix_does_not_decide(tmp_path: Path) -> None:
     frames = moving(5)
     video_file(tmp_path / "a.mkv", frames).rename(tmp_path / "recording")

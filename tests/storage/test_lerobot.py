@@ -290,7 +290,7 @@ def test_paths_in_info_are_not_followed(exported: ExportReport, tmp_path: Path) 
     info = info_of(exported)
     info["features"] = {"../../escaped": info["features"][CAMERA]}
     (copy / "meta/info.json").write_text(json.dumps(info))
-    refused(copy, tmp_path, "has 0 cameras; choose one with '--camera KEY': none")
+    refused(copy, tmp_path, r"has no camera: a feature .* its features are: '../../escaped' \('video'\)\.")
 
 
 @pytest.mark.slow

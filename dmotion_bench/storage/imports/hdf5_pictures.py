@@ -2,7 +2,7 @@
 
 robomimic stores pixels, n x height x width x channels, in bytes. Others store the channels first, as networks take
 them, or fractions from 0 to 1 instead of bytes. Robots that record to HDF5 often pack each picture: ALOHA in rows of
-bytes that are filled up with zeros, n x bytes; others in rows of variable length.
+bytes that are filled up with zeros, n x bytes; RoboTwin in texts that are; others in rows of variable length.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from dmotion_bench.storage.imports.cameras import BadPicture, CompressedPicture
-from dmotion_bench.storage.imports.hdf5_contents import ERRORS, fault, is_filled
+from dmotion_bench.storage.imports.hdf5_contents import ERRORS, fault, is_filled, item_bytes
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.pixels import size_of, to_rgb
 
 _T = TypeVar("_T")
 KINDS: Final = (
-    "n x height x width x 3 or n x 3 x height x width in bytes or fractions of 1, or a packed picture in each row"
+    "n x height x width x 3 or n x 3 x height x width in bytes or fractions of 1, grey bytes with 1 in place of 3, "
+    "or a packed picture in each row"
 )
 _STARTS: Final = (b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n", b"RIFF")  # of JPEG, PNG, WebP
 
@@ -108,10 +109,11 @@ class PackedPictures:
         """Whether the first row begins as a picture's file does."""
         rows = len(dataset.shape) == 2 and dataset.dtype == np.uint8
         varying = len(dataset.shape) == 1 and h5py.check_vlen_dtype(dataset.dtype) == np.uint8
-        if not (rows or varying) or not len(dataset):
+        texts = len(dataset.shape) == 1 and _is_text(dataset)
+        if not (rows or varying or texts) or not len(dataset):
             return False
         first = dataset[0, : len(max(_STARTS, key=len))] if rows else dataset[0]
-        return np.asarray(first, np.uint8).tobytes().startswith(_STARTS)
+        return _bytes_of(dataset, first).startswith(_STARTS)
 
     def sizes(self) -> Iterator[tuple[int, int]]:
         """Height and width of each picture, by its head.
@@ -132,16 +134,28 @@ class PackedPictures:
 
     def _unpacked(self, number: int, unpack: Callable[[CompressedPicture, ImportLimits], _T]) -> _T:
         try:
-            data = np.asarray(self._dataset[number], np.uint8).tobytes()
+            data = _bytes_of(self._dataset, self._dataset[number])
             return unpack(CompressedPicture(stamp_ns=0, format="packed", data=data), self._limits)
         except (BadPicture, *ERRORS) as error:
             raise BadPicture(f"is damaged: picture {number} of {self._dataset.name!r} {str(error)[:120]}") from error
 
 
+def _is_text(dataset: h5py.Dataset) -> bool:
+    """Whether an entry is a text or a block of bytes, of one length for all."""
+    return dataset.dtype.kind in "SV" and dataset.dtype.names is None
+
+
+def _bytes_of(dataset: h5py.Dataset, entry: object) -> bytes:
+    """An entry's bytes; numpy takes the zeros from the end of a text."""
+    return np.asarray(entry, dataset.dtype if _is_text(dataset) else np.uint8).tobytes()
+
+
 def holds_pictures(dataset: h5py.Dataset, limits: ImportLimits) -> bool:
     """Whether a data set is a camera's; one that is not to be read counts by its shape alone."""
     try:
-        return Pixels.holds(dataset) or (fault(dataset, limits) is None and PackedPictures.holds(dataset))
+        if Pixels.holds(dataset) or fault(dataset, limits) is not None:
+            return Pixels.holds(dataset)
+        return item_bytes(dataset) <= limits.message_bytes and PackedPictures.holds(dataset)
     except ERRORS:
         return False
 

@@ -14,9 +14,10 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
@@ -37,16 +38,18 @@ from dmotion_bench.storage.imports.continuous_commands import (
 )
 from dmotion_bench.storage.imports.episode_faults import EpisodeFaults, Size
 from dmotion_bench.storage.imports.hdf5_contents import ERRORS, datasets, described, fault, names, own
+from dmotion_bench.storage.imports.hdf5_ends import episode_ends
 from dmotion_bench.storage.imports.hdf5_pictures import KINDS, PackedPictures, Pixels, holds_pictures, pictures_of
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.natural_order import natural
 from dmotion_bench.storage.imports.near_names import did_you_mean
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times
-from dmotion_bench.wording import shown
+from dmotion_bench.wording import counted, shown
 
 DEMONSTRATIONS: Final = "data"
 NEXT: Final = "next_obs/"  # robomimic's copy of the pictures, each in the place of the one before it
 CHUNK_CACHE: Final = 64 * MIB  # a chunk of many pictures is inflated once, not once a picture
+_WHOLE: Final = "/"  # the demonstration of a file that has no group for each
 _NUMBER: Final = re.compile(r"\d+")
 _CALLED: Final = frozenset({"demo_#", "episode_#", "traj_#"})
 """What groups at the root are called that are demonstrations (ManiSkill: ``traj_0``), whatever is in them."""
@@ -97,6 +100,8 @@ class Hdf5Recording:
             self._actions = None if actions is None else self._named(others, actions, "actions", found)
             if self._actions is not None and self._fields:
                 self._check_fields(found[self._actions])
+            if self._declared == [_WHOLE]:
+                self._check_is_one(found)
             known_hz = source_hz or _control_frequency(file)
             self._hz, self._is_rate_assumed = known_hz or default_hz, known_hz is None
 
@@ -195,7 +200,7 @@ class Hdf5Recording:
         data = own(file, DEMONSTRATIONS)
         if not isinstance(data, h5py.Group):
             groups = _groups(file)
-            return [f"/{name}" for name in groups] if self._are_demonstrations(file, groups) else ["/"]
+            return [f"/{name}" for name in groups] if self._are_demonstrations(file, groups) else [_WHOLE]
         groups = _groups(data)
         if not groups:
             listed = "".join(f"\n  {name} {described(found)}" for name, found in list(datasets(file).items())[:LISTED])
@@ -230,6 +235,21 @@ class Hdf5Recording:
             return bool(counts)
         return any(len(shape) == 2 and {shape[0], shape[0] + 1} & counts for shape in shapes)
 
+    def _check_is_one(self, found: Mapping[str, h5py.Dataset]) -> None:
+        """See that the data sets of a file without a group for each demonstration hold a single one.
+
+        Raises:
+            RecordingImportError: They hold several, one behind the other, as a replay buffer does.
+        """
+        count = len(found[self._camera])
+        for name, dataset in found.items():
+            if ends := episode_ends(name, dataset, count, self._limits):
+                raise self._bad(
+                    f"holds several episodes, one behind the other: {name!r} tells of {counted(ends, 'end')} among its "
+                    f"{count:,} pictures. Write each episode into a group of its own, such as "
+                    f"'{DEMONSTRATIONS}/demo_0/obs/image' and '{DEMONSTRATIONS}/demo_0/actions'"
+                )
+
     def _typical(self, file: h5py.File, camera: str | None) -> tuple[dict[str, h5py.Dataset], list[str]]:
         """The data sets of the demonstration by which all are read, and those of them with pictures.
 
@@ -250,7 +270,10 @@ class Hdf5Recording:
         if meant:
             many = f"{len(meant)} cameras" if asked is None else f"{len(meant)} data sets {asked!r}"
             listed = "".join(f"\n  --{option} {name}" for name in meant[:LISTED])
-            raise self._bad(f"has {many}; choose one:{listed}", stop="")
+            hint = ""
+            if self._declared == [_WHOLE] and len({_NUMBER.sub("#", name) for name in meant}) < len(meant):
+                hint = f"\nIf each is of another episode, move the episodes' groups into {DEMONSTRATIONS!r}."
+            raise self._bad(f"has {many}; choose one:{listed}{hint}", stop="")
         first = self._declared[0]
         listed = "".join(f"\n  {name} {described(dataset)}" for name, dataset in list(found.items())[:LISTED])
         wanted = f"{asked!r} for '--{option}'" if asked is not None else f"pictures ({KINDS})"
@@ -282,7 +305,7 @@ class Hdf5Recording:
         if self._actions is None:
             return None
         given = self._dataset(file, demonstration, self._actions)
-        if len(given.shape) not in (1, 2) or len(given) not in (len(times_ns), len(times_ns) - 1):
+        if not given.shape or len(given) not in (len(times_ns), len(times_ns) - 1):
             raise self._bad(
                 f"has {described(given)} as actions in {given.name!r}; there must be one for each of the "
                 f"{len(times_ns)} pictures"
@@ -301,7 +324,7 @@ class Hdf5Recording:
 
     def _check_fields(self, given: h5py.Dataset) -> None:
         """See that the first demonstration has the fields: a name that none has is no damage of one."""
-        width = given.shape[1] if len(given.shape) > 1 else 1
+        width = math.prod(given.shape[1:])
         try:
             places_of(self._fields, column_names(str(given.name).rpartition("/")[2], (), min(width, MOST_NUMBERS)))
         except BadCommands as error:
@@ -314,7 +337,8 @@ class Hdf5Recording:
             raise self._bad(f"is damaged: {given.name!r}: {str(error)[:120]}") from error
         feature = str(given.name).rpartition("/")[2]
         try:
-            return from_rows(values, times_ns, feature, fields=self._fields, most=self._limits.numbers)
+            rows = values.reshape(len(values), math.prod(values.shape[1:]))
+            return from_rows(rows, times_ns, feature, fields=self._fields, most=self._limits.numbers)
         except BadCommands as error:
             raise self._bad(f"{error} ({given.name!r})") from error
 

@@ -24,6 +24,7 @@ from dmotion_bench.errors import RecordingImportError
 from dmotion_bench.storage.imports.git_lfs import require_content
 from dmotion_bench.storage.imports.limits import MIB, ImportLimits
 from dmotion_bench.storage.imports.near_names import did_you_mean
+from dmotion_bench.wording import shown
 
 INFO: Final = Path("meta") / "info.json"
 EPISODES_V2: Final = Path("meta") / "episodes.jsonl"
@@ -32,6 +33,7 @@ ACTION_NAMES: Final = "dmbench_actions"
 """Where ``data export`` leaves the actions' names within the feature, beside LeRobot's own keys."""
 SOURCE: Final = "dmbench_source"
 """The column of the table of episodes in which ``data export`` leaves which recording each episode is a part of."""
+LISTED: Final = 30  # features that an error names
 ROWS_AT_ONCE: Final = 4096
 """Of a table of episodes that are taken apart."""
 _KEY: Final = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]*")
@@ -92,16 +94,22 @@ class LeRobotLayout:
         Raises:
             RecordingImportError: There is none, or more than one, or it holds depth.
         """
-        shown = sorted(key for key in self.features if self.kind(key) in _CAMERA_KINDS and _KEY.fullmatch(key))
-        cameras = [key for key in shown if not self._is_depth(key)]
+        pictures = sorted(key for key in self.features if self.kind(key) in _CAMERA_KINDS and _KEY.fullmatch(key))
+        cameras = [key for key in pictures if not self._is_depth(key)]
         here = [key for key in cameras if self._has_files(key)] or cameras
         found = here if asked is None else _meant(here, asked) or _meant(cameras, asked)
         if len(found) == 1:
             return found[0]
+        if asked is None and not cameras:
+            others = ", ".join(f"{shown(key)} ({shown(self.kind(key))})" for key in list(self.features)[:LISTED])
+            raise self.bad(
+                "has no camera: a feature of the kind 'video' or 'image' that holds no depth, with a name of letters, "
+                f"digits, '.', '_' and '-'; its features are: {others or 'none'}"
+            )
         listed = ", ".join(map(repr, here)) or "none"
         if asked is None:
             raise self.bad(f"has {len(here)} cameras; choose one with '--camera KEY': {listed}")
-        if not found and (depth := _meant(shown, asked)):
+        if not found and (depth := _meant(pictures, asked)):
             raise self.bad(f"holds depth in {depth[0]!r}, and depth is no picture; its cameras are: {listed}")
         hint = "" if found else did_you_mean(here, asked)
         which = f"{'more than one' if found else 'no'} camera {asked!r}"

@@ -126,7 +126,11 @@ class McapRecording:
                 f"{str(self.path)!r} has no pictures: there is no message on {self._camera!r}{where}."
             )
         if size is None:
-            raise RecordingImportError(f"{str(self.path)!r}: no message on {self._camera!r} gives a picture.")
+            raise RecordingImportError(
+                f"{str(self.path)!r}: no message on {self._camera!r} gives a picture. A video is decoded from a key "
+                "frame on that has the headers with it (of H.264 and H.265 the parameter sets, all after start codes): "
+                "have the encoder repeat them before each key frame."
+            )
         if commands is not None and not commands.count:
             raise RecordingImportError(f"{str(self.path)!r} has no actions: no message is on {self._actions!r}.")
         numbers = np.array(visible)
@@ -268,7 +272,7 @@ class McapRecording:
         if self._clock is not Clock.LOG or not (intervals < 0).any():
             return times_ns, others_ns
         furthest = int(intervals.argmin())
-        if others_ns[0] and (np.diff(others_ns) > 0).all() and -intervals[furthest] > np.median(intervals):
+        if is_ascending(others_ns) and -intervals[furthest] > np.median(intervals):
             raise self._set_back(furthest, -int(intervals[furthest]))
         order = np.argsort(times_ns, kind="stable")
         last_before = np.maximum.accumulate(order)  # what has to be read before a message, in time, can be given
@@ -323,7 +327,7 @@ class McapRecording:
     def _time(self, picture: Picture, message: RawMessage, count: int) -> int:
         if self._clock is Clock.LOG:
             return message.log_ns
-        if not picture.stamp_ns:
+        if not picture.stamp_ns and count:  # a simulator's clock may begin at 0
             raise RecordingImportError(
                 f"{str(self.path)!r}: message {count} on {self._camera!r} has no time stamp of its own; "
                 "use the time of recording with '--clock log'."

@@ -1,8 +1,9 @@
 """Pixel encodings of ROS and foxglove -> RGB, 8 bits.
 
-mono16 keeps its upper 8 bits; an alpha channel is dropped; YUV 4:2:2 is full-range BT.601, as Foxglove shows
-it; ``8UC3`` is BGR, as OpenCV and Foxglove have it. Depth (16UC1, 32FC1) is no picture and is refused. A JPEG or WebP
-file that says how the camera was held is turned upright.
+Of 16 bits a channel the upper 8 are kept; an alpha channel is dropped; YUV 4:2:2 is full-range BT.601, as Foxglove
+shows it; ``8UC3`` is BGR, as OpenCV and Foxglove have it. Depth (16UC1, 32FC1) is no picture and is refused. A JPEG or
+WebP file that says how the camera was held is turned upright. A grey file is a mosaic where its format begins with a
+Bayer pattern: image_transport packs what the camera sends, and leaves the colours to those who unpack it.
 """
 
 from __future__ import annotations
@@ -110,7 +111,9 @@ UNPACK: dict[str, tuple[int, Callable[[Rows], RGB]]] = {
 }
 """Bytes a pixel, and what turns rows of bytes into RGB."""
 
-ENCODINGS = sorted([*UNPACK, *BAYER, "mono16"])
+WIDE = {f"{name[:-1]}16": name for name in (*UNPACK, *BAYER) if re.fullmatch("[a-z_]+8", name)}
+"""Encodings with 16 bits a channel, by the one that their upper 8 bits are of."""
+ENCODINGS = sorted([*UNPACK, *BAYER, *WIDE])
 _DEPTH: Final = re.compile(r"(16[USF]|32[SF]|64F)C\d+")
 """OpenCV's names of pixels that are no brightness; image_transport puts them first in the format of a PNG file."""
 PICTURE_FILES = ("JPEG", "PNG", "WEBP")
@@ -175,7 +178,7 @@ def size_of(picture: Picture, limits: ImportLimits) -> tuple[int, int]:
         raise BadPicture(
             f"declares {width}x{height} pixels of {picture.encoding}, {needed:,} bytes, but has {len(picture.data):,}"
         )
-    if picture.encoding in BAYER and min(height, width) < 2:
+    if WIDE.get(picture.encoding, picture.encoding) in BAYER and min(height, width) < 2:
         raise BadPicture(f"is {width}x{height} pixels of {picture.encoding}, too few for its 2x2 pattern")
     if _is_yuv(picture.encoding) and width % 2:
         raise BadPicture(f"is {width} pixels wide, but {picture.encoding} stores them in pairs")
@@ -194,11 +197,10 @@ def to_rgb(picture: Picture, limits: ImportLimits) -> RGB:
     assert isinstance(picture, RawPicture)
     row = width * _bytes_a_pixel(picture.encoding)
     rows: Rows = np.ndarray((height, row), np.uint8, buffer=picture.data, strides=(picture.step or row, 1))
-    if picture.encoding in BAYER:
-        return demosaic(rows, BAYER[picture.encoding])
-    if picture.encoding == "mono16":
-        return _gray(rows[:, 0 if picture.big_endian else 1 :: 2])
-    return UNPACK[picture.encoding][1](rows)
+    encoding = picture.encoding
+    if encoding in WIDE:
+        rows, encoding = rows[:, 0 if picture.big_endian else 1 :: 2], WIDE[encoding]
+    return demosaic(rows, BAYER[encoding]) if encoding in BAYER else UNPACK[encoding][1](rows)
 
 
 def _is_yuv(encoding: str) -> bool:
@@ -208,8 +210,8 @@ def _is_yuv(encoding: str) -> bool:
 def _bytes_a_pixel(encoding: str) -> int:
     if encoding in BAYER:
         return 1
-    if encoding == "mono16":
-        return 2
+    if encoding in WIDE:
+        return 2 * _bytes_a_pixel(WIDE[encoding])
     if encoding not in UNPACK:
         depth = " (depth is no picture)" if encoding in {"16UC1", "32FC1"} else ""
         raise BadPicture(f"has the encoding {encoding[:40]!r}{depth}; known are {', '.join(ENCODINGS)}")
@@ -225,7 +227,7 @@ def _check_size(height: int, width: int, most: int) -> None:
 
 def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
     """The compressed file with its head read, its pixels not yet."""
-    if "compresseddepth" in picture.format.lower() or _DEPTH.fullmatch(picture.format.partition(";")[0].strip()):
+    if "compresseddepth" in picture.format.lower() or _DEPTH.fullmatch(_packed_encoding(picture)):
         raise BadPicture(f"has the format {picture.format[:60]!r}: depth is no picture")
     try:
         with warnings.catch_warnings():
@@ -244,8 +246,18 @@ def _opened(picture: CompressedPicture, limits: ImportLimits) -> Image.Image:
     return image
 
 
+def _packed_encoding(picture: CompressedPicture) -> str:
+    """The encoding of what image_transport has packed, which it puts first in the format."""
+    return picture.format.partition(";")[0].strip()
+
+
 def _is_deep(image: Image.Image) -> bool:
     return image.mode.startswith("I;16")
+
+
+def _brightness(image: Image.Image) -> UInt8[np.ndarray, "h w"]:
+    """A grey picture, of 16 bits the upper 8."""
+    return (np.asarray(image) >> 8).astype(np.uint8) if _is_deep(image) else np.asarray(image)
 
 
 def _orientation(image: Image.Image) -> int:
@@ -276,11 +288,15 @@ def _decompress(picture: CompressedPicture, limits: ImportLimits) -> RGB:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 image.load()
+                encoding = _packed_encoding(picture)
+                pattern = BAYER.get(WIDE.get(encoding, encoding))
+                if pattern is not None and (image.mode == "L" or _is_deep(image)):
+                    return demosaic(_brightness(image), pattern)
                 turn = _UPRIGHT.get(_orientation(image))
                 if turn is not None:
                     return _rgb(image.transpose(turn))
                 if _is_deep(image):
-                    return _gray((np.asarray(image) >> 8).astype(np.uint8))
+                    return _gray(_brightness(image))
                 return _rgb(image)
         except (OSError, ValueError, SyntaxError, Warning) as error:
             raise BadPicture(f"is a damaged {image.format} file: {str(error)[:120]}") from error

@@ -19,6 +19,7 @@ from dmotion_bench.errors import RecordingImportError, RecordingTruncated
 from dmotion_bench.storage.imports.limits import ImportLimits
 from dmotion_bench.storage.imports.recording import Segment, Survey, steady_times, told_of_harm
 from dmotion_bench.storage.video.file import VideoFile
+from dmotion_bench.wording import counted
 
 
 class VideoRecording:
@@ -51,9 +52,10 @@ class VideoRecording:
         """
         times = array("q")
         with self._opened() as video:
-            complete = True
+            complete, interlaced = True, 0
             for t_ns, frame in video.frames():
                 video.check_size(frame)
+                interlaced += frame.interlaced_frame
                 complete = complete and t_ns is not None
                 times.append(t_ns or 0)
                 if len(times) > self._limits.frames:
@@ -72,6 +74,7 @@ class VideoRecording:
                 told=[
                     *([told_of_harm(self.path, segment.times_ns)] if video.is_harmed else []),
                     *self._told_of_shape(video),
+                    *self._told_of_fields(interlaced, len(times)),
                 ],
             )
 
@@ -98,6 +101,16 @@ class VideoRecording:
             f"the pixels of {str(self.path)!r} are not square ({video.pixel_aspect.numerator}:"
             f"{video.pixel_aspect.denominator}), and its pictures are imported as they are stored, out of proportion; "
             "'ffmpeg -i IN -vf scale=iw*sar:ih,setsar=1 OUT.mkv' makes a video that is not."
+        ]
+
+    def _told_of_fields(self, interlaced: int, count: int) -> list[str]:
+        """What is told of pictures whose odd and even rows may have been taken one after the other."""
+        if not interlaced:
+            return []
+        return [
+            f"{interlaced:,} of {counted(count, 'picture')} in {str(self.path)!r} are marked as interlaced: if their "
+            "odd and even rows were taken one after the other, the edges of what moves look like combs. "
+            "'ffmpeg -i IN -vf bwdif -crf 1 OUT.mkv' makes a video without, with twice as many pictures a second."
         ]
 
     def _opened(self) -> VideoFile:

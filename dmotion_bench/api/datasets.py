@@ -25,15 +25,19 @@ Triplet = dict[str, torch.Tensor]
 """``previous``, ``current`` and ``next``, each Float[c h w] in [-1, 1]; ``episode``; with labels also ``action``."""
 
 
-class Dataset(stored.Dataset):
+Video = UInt8[np.ndarray, "t h w 3"]
+"""The frames of an episode, RGB 0-255."""
+
+
+class Dataset(stored.Dataset, torch.utils.data.Dataset[Video]):
     """A data set on disk; ``open_dataset`` opens one.
 
     It has what ``dmotion_bench.storage.dataset.Dataset`` has, such as ``video(episode)``, ``split(name)`` and
-    ``labels(episode)``, and ``triplets`` for torch. Its items are the videos of its episodes, without their labels:
-    ``torch.utils.data.Subset(dataset, dataset.split("train"))`` is a data set of torch, too.
+    ``labels(episode)``, and ``triplets`` for torch. It is a data set of torch itself: its items are the videos of its
+    episodes, without their labels.
     """
 
-    def __getitem__(self, episode: SupportsIndex) -> UInt8[np.ndarray, "t h w 3"]:
+    def __getitem__(self, episode: SupportsIndex) -> Video:
         """An episode's frames, RGB 0-255, as ``video`` gives them; -1 is the last episode.
 
         Raises:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -26,8 +26,7 @@ def test_an_item_is_an_episode_s_video_and_no_label_is_read(workspace: Path) -> 
 
 def test_torch_loads_the_videos_of_a_split(workspace: Path) -> None:
     dataset = dm.open_dataset()
-    chosen: Any = Subset(cast(Any, dataset), dataset.split("test").tolist())
-    loaded = list(DataLoader(chosen, batch_size=None))
+    loaded = list(DataLoader(Subset(dataset, dataset.split("test").tolist()), batch_size=None))
     assert [video.numpy().tobytes() for video in loaded] == [
         dataset.video(int(episode)).tobytes() for episode in dataset.split("test")
     ]

@@ -12,7 +12,14 @@ from dmotion_bench.learning.training.resuming import LastFacts, NextRow
 
 @dataclass(frozen=True, kw_only=True)
 class StepReport:
-    """The progress of a training; given to the progress callback after every step."""
+    """The progress of a training; given to the progress callback after every step.
+
+    Attributes:
+        step, steps: Taken, and in all.
+        phase: The name of the present one.
+        loss: Of this step, before it was taken; of this process's part of the batch.
+        triplets_per_s: Since this process began.
+    """
 
     step: int
     steps: int

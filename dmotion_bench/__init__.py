@@ -25,9 +25,9 @@ from dmotion_bench.gymnasium_ids import register_ids
 
 if TYPE_CHECKING:
     from dmotion_bench.api.datasets import Dataset, TripletDataset, open_dataset
-    from dmotion_bench.api.demonstration import demo
+    from dmotion_bench.api.demonstration import Demonstrated, demo
     from dmotion_bench.api.importing import export_dataset, import_recordings
-    from dmotion_bench.api.leaderboard import leaderboard_build, leaderboard_check, leaderboard_compare
+    from dmotion_bench.api.leaderboard import Built, Verdict, leaderboard_build, leaderboard_check, leaderboard_compare
     from dmotion_bench.api.planning import Planned, plan
     from dmotion_bench.api.recording import record
     from dmotion_bench.api.reproducing import Reproduced, reproduce
@@ -42,12 +42,21 @@ if TYPE_CHECKING:
     from dmotion_bench.registry import (
         environment_names,
         model_names,
+        objective_names,
         register_environment,
         register_model,
         register_objective,
         register_solver,
+        solver_names,
     )
+    from dmotion_bench.scoring.differences import Difference
     from dmotion_bench.scoring.report import Report
+    from dmotion_bench.sharing.contents import Shared
+    from dmotion_bench.sharing.pull import Pulled
+    from dmotion_bench.sharing.push import Pushed
+    from dmotion_bench.specs import Episode, EpisodeLabels
+    from dmotion_bench.storage.exports.lerobot import ExportReport
+    from dmotion_bench.storage.imports.options import ImportReport
     from dmotion_bench.workspace import Workspace
 
 try:
@@ -56,16 +65,27 @@ except PackageNotFoundError:  # the source tree on a path, never installed
     __version__ = "0.0.0"
 
 __all__ = [
+    "Built",
     "Dataset",
+    "Demonstrated",
+    "Difference",
     "DmbenchError",
+    "Episode",
+    "EpisodeLabels",
+    "ExportReport",
+    "ImportReport",
     "JobProgress",
     "Planned",
+    "Pulled",
+    "Pushed",
     "Recorded",
     "Report",
     "Reproduced",
     "Run",
     "Served",
+    "Shared",
     "TripletDataset",
+    "Verdict",
     "Workspace",
     "__version__",
     "demo",
@@ -77,6 +97,7 @@ __all__ = [
     "leaderboard_compare",
     "load_run",
     "model_names",
+    "objective_names",
     "open_dataset",
     "plan",
     "record",
@@ -89,21 +110,33 @@ __all__ = [
     "share_list",
     "share_pull",
     "share_push",
+    "solver_names",
     "train",
     "view",
 ]
 
 _HOMES: Final = {
+    "Built": "api.leaderboard",
     "Dataset": "api.datasets",
+    "Demonstrated": "api.demonstration",
+    "Difference": "scoring.differences",
     "DmbenchError": "errors",
+    "Episode": "specs",
+    "EpisodeLabels": "specs",
+    "ExportReport": "storage.exports.lerobot",
+    "ImportReport": "storage.imports.options",
     "JobProgress": "execution.job_progress",
     "Planned": "api.planning",
+    "Pulled": "sharing.pull",
+    "Pushed": "sharing.push",
     "Recorded": "recording.session",
     "Report": "scoring.report",
     "Reproduced": "api.reproducing",
     "Run": "api.runs",
     "Served": "api.viewing",
+    "Shared": "sharing.contents",
     "TripletDataset": "api.datasets",
+    "Verdict": "api.leaderboard",
     "Workspace": "workspace",
     "demo": "api.demonstration",
     "environment_names": "registry",
@@ -114,6 +147,7 @@ _HOMES: Final = {
     "leaderboard_compare": "api.leaderboard",
     "load_run": "api.runs",
     "model_names": "registry",
+    "objective_names": "registry",
     "open_dataset": "api.datasets",
     "plan": "api.planning",
     "record": "api.recording",
@@ -126,6 +160,7 @@ _HOMES: Final = {
     "share_list": "api.sharing",
     "share_pull": "api.sharing",
     "share_push": "api.sharing",
+    "solver_names": "registry",
     "train": "api.training",
     "view": "api.viewing",
 }

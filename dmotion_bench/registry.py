@@ -271,12 +271,22 @@ def model_class(name: str) -> type[ForwardModel[Any]]:
 
 
 def objective_names() -> list[str]:
-    """The names of all installed objectives."""
+    """The names of all installed objectives.
+
+    Example:
+        >>> "centres" in dm.objective_names()
+        True
+    """
     return names(OBJECTIVES)
 
 
 def solver_names() -> list[str]:
-    """The names of all installed solvers."""
+    """The names of all installed solvers.
+
+    Example:
+        >>> "cem" in dm.solver_names()
+        True
+    """
     return names(SOLVERS)
 
 

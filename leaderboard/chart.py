@@ -181,9 +181,9 @@ def _ring(x: float, y: float) -> Markup:
     return element("path", d=_marker_path(0, x, y, RING), class_="ring")
 
 
-def key(style: Style, *, dash: str = "solid", hollow: bool = False, ringed: bool = False) -> Markup:
+def key(style: Style, *, ringed: bool = False) -> Markup:
     """A piece of a series for a legend; of ringed points the ring alone."""
-    drawn = [element("path", d="M1 8H33", class_=f"line {dash}"), marker(style, 17, 8, hollow=hollow)]
+    drawn = [element("path", d="M1 8H33", class_="line solid"), marker(style, 17, 8)]
     return element(
         "svg",
         *([_ring(17, 8)] if ringed else drawn),

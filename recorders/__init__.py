@@ -1,1 +1,1 @@
-"""The environments of the benchmark, one a file, and the loop that records them."""
+"""The environments of the benchmark, each a file or a folder, and the policies that record them."""

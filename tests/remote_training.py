@@ -13,7 +13,8 @@ import torch
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.storage import object_store
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
@@ -24,7 +25,7 @@ SETTINGS = ("batch_size=4", "epochs=0.6", "validations=3", "hard_share=0.5", "wi
 def train_from(where: str, folder: Path, kill_at: int | None = None) -> Run:
     """Train to the end, or kill this process after a step."""
 
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         if report.step == kill_at:
             os.kill(os.getpid(), signal.SIGKILL)
 

@@ -116,11 +116,12 @@ def train_exact(
 
     from dmotion_bench.learning.hardware.devices import launch
     from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-    from dmotion_bench.learning.training.loop import Report, train
+    from dmotion_bench.learning.training.loop import train
+    from dmotion_bench.learning.training.state import StepReport
     from dmotion_bench.storage.dataset import Dataset
     from dmotion_bench.workspace import Workspace
 
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         if report.step == stop_at and rank == 0:
             os.kill(os.getpid(), signal.SIGINT)
 

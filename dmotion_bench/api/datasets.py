@@ -7,7 +7,7 @@ from typing import Any, Literal, SupportsIndex
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 
 from dmotion_bench.api.settings import SPLIT_PROTOCOLS, require_one_of, whole
 from dmotion_bench.errors import LabelsNotAvailable, UsageError
@@ -25,12 +25,26 @@ Triplet = dict[str, torch.Tensor]
 """``previous``, ``current`` and ``next``, each Float[c h w] in [-1, 1]; ``episode``; with labels also ``action``."""
 
 
-class Dataset(stored.Dataset):
+Video = UInt8[np.ndarray, "t h w 3"]
+"""The frames of an episode, RGB 0-255."""
+
+
+class Dataset(stored.Dataset, torch.utils.data.Dataset[Video]):
     """A data set on disk; ``open_dataset`` opens one.
 
     It has what ``dmotion_bench.storage.dataset.Dataset`` has, such as ``video(episode)``, ``split(name)`` and
-    ``labels(episode)``, and ``triplets`` for torch.
+    ``labels(episode)``, and ``triplets`` for torch. It is a data set of torch itself: its items are the videos of its
+    episodes, without their labels.
     """
+
+    def __getitem__(self, episode: SupportsIndex) -> Video:
+        """An episode's frames, RGB 0-255, as ``video`` gives them; -1 is the last episode.
+
+        Raises:
+            IndexError: There is none of this number.
+            UsageError: That is no number.
+        """
+        return self.video(_place("episode", episode, len(self)))
 
     def __repr__(self) -> str:
         """Its name, its episodes and frames, and where they are from."""
@@ -124,11 +138,14 @@ class TripletDataset(torch.utils.data.Dataset[Triplet]):
     def __repr__(self) -> str:
         return f"<TripletDataset: {len(self)} triplets, with{'out' if self.actions is None else ''} actions>"
 
-    def __getitem__(self, index: int) -> Triplet:
-        place = int(index)
-        if not -len(self) <= place < len(self):
-            raise IndexError(f"there is no triplet {index}; there are {len(self)}.")
-        return self.__getitems__([place % len(self)])[0]
+    def __getitem__(self, index: SupportsIndex) -> Triplet:
+        """One triplet; -1 is the last.
+
+        Raises:
+            IndexError: There is none of this number.
+            UsageError: That is no number.
+        """
+        return self.__getitems__([_place("triplet", index, len(self))])[0]
 
     def __getitems__(self, indices: Sequence[int]) -> list[Triplet]:
         """Several at once, which a ``DataLoader`` asks for: one read for a batch."""
@@ -141,6 +158,19 @@ class TripletDataset(torch.utils.data.Dataset[Triplet]):
             | {name: value[row] for name, value in known.items()}
             for row in range(len(rows))
         ]
+
+
+def _place(what: str, index: SupportsIndex, count: int) -> int:
+    """Where an item is, counted from the first one.
+
+    Raises:
+        IndexError: There is none.
+        UsageError: The index is no whole number.
+    """
+    place = whole(what, index)
+    if not -count <= place < count:
+        raise IndexError(f"there is no {what} {place}; there are {count}.")
+    return place % count
 
 
 @in_workspace

@@ -40,8 +40,8 @@ from dmotion_bench.learning.runs.start import (
 )
 from dmotion_bench.learning.training.beginning import finished_result
 from dmotion_bench.learning.training.companions import Companions
-from dmotion_bench.learning.training.loop import Report
 from dmotion_bench.learning.training.loop import train as train_steps
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.learning.training.tracking import require_trackers
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import MOST_THREADS, Preset
@@ -257,9 +257,8 @@ def _train(
     with telling(progress) as tell:
         tell(JobProgress(what=what, done=0, total=None, status="reading the data"))
 
-        def on_step(report: Report) -> None:
-            status = f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s"
-            tell(JobProgress(what=what, done=report.step, total=report.steps, status=status, unit="steps"))
+        def on_step(report: StepReport) -> None:
+            tell(report.as_progress(what))
 
         return train_steps(run, training_data(run, dataset, loaders), fabric, on_step, tuple(trackers))
 

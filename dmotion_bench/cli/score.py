@@ -9,7 +9,7 @@ import typer
 
 from dmotion_bench.api.settings import DEVICES, require_one_of
 from dmotion_bench.cli.cache import CacheFolder, use_cache
-from dmotion_bench.cli.jobs import executor_option, workers_option
+from dmotion_bench.cli.jobs import executor_option, jobs_bar, workers_option
 from dmotion_bench.cli.options import (
     METRICS,
     REFERENCES,
@@ -190,7 +190,6 @@ def _scored(
     """Score runs in turn or by an executor, and show how far that is."""
     from dmotion_bench.api.scoring import score_runs
     from dmotion_bench.api.side_by_side import Hands, score_at_once, scored_in_turn
-    from dmotion_bench.cli.jobs import jobs_bar
     from dmotion_bench.cli.progress import BarOnDemand, note
 
     how: dict[str, Any] = {"batch_size": batch_size, "data": data, "note": note}
@@ -214,7 +213,6 @@ def _references(
 ) -> dict[str, Figures]:
     """Score references for control, in turn or by an executor; what they did stays in the data set's cache."""
     from dmotion_bench.api.side_by_side import Hands, score_references_at_once
-    from dmotion_bench.cli.jobs import jobs_bar
     from dmotion_bench.cli.progress import BarOnDemand
 
     if executor is None and workers is None:

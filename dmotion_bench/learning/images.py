@@ -7,9 +7,9 @@ from jaxtyping import Float, UInt8
 from torch import Tensor
 
 
-def to_model(frames: UInt8[Tensor, "*b h w c"], dtype: torch.dtype = torch.float32) -> Float[Tensor, "*b c h w"]:
+def to_model(frames: UInt8[Tensor, "*b h w c"]) -> Float[Tensor, "*b c h w"]:
     """Pixels 0-255 to [-1, 1]. The memory stays channels last, the order that convolutions like best."""
-    return frames.to(dtype).mul_(2 / 255).sub_(1).movedim(-1, -3)
+    return frames.to(torch.float32).mul_(2 / 255).sub_(1).movedim(-1, -3)
 
 
 def images_of_triplets(

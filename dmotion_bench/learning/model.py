@@ -20,13 +20,15 @@ from jaxtyping import Float, Int
 from torch import Tensor, nn
 
 from dmotion_bench.actions import ActionSpec
-from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.action_encoding import Actions
 from dmotion_bench.learning.boundary import guarded
 from dmotion_bench.learning.demonstrations import Demonstrations
 from dmotion_bench.learning.settings import only_with
 from dmotion_bench.specs import Preset, Supervision
 from dmotion_bench.values import require_bounds
+
+__all__ = ["Demonstrations", "ForwardModel", "Losses", "ModelInputs", "Phase", "TrainingConfig", "TripletBatch"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -178,8 +180,6 @@ class TrainingConfig:
     adaptation_rate: float = only_with(1e-4, *_FINETUNED)
 
     def __post_init__(self) -> None:
-        from dmotion_bench.errors import InvalidSetting
-
         for name, value, allowed in (
             ("schedule", self.schedule, ("one-cycle", "linear", "cosine", "constant")),
             ("optimizer", self.optimizer, ("adamw", "adam", "muon")),
@@ -195,8 +195,6 @@ class TrainingConfig:
             below_one=("hard_share", "ema"),
         )
 
-
-__all__ = ["Demonstrations", "ForwardModel", "Losses", "ModelInputs", "Phase", "TrainingConfig", "TripletBatch"]
 
 ConfigT = TypeVar("ConfigT")
 NEITHER: Final = "it defines neither predict nor all of begin, advance and frame"

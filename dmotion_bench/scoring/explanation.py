@@ -16,7 +16,7 @@ import torch
 
 from dmotion_bench.errors import DatasetError, LabelsNotAvailable
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.images import images_of_triplets
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.scoring.latent_models import LatentActionModel
 from dmotion_bench.scoring.pixels import mean_squared_error
@@ -56,7 +56,7 @@ def explain_steps(
     for start in range(0, len(triplets), how.batch_size):
         part = np.arange(start, min(start + how.batch_size, len(triplets)))
         stored = torch.from_numpy(triplets.gather(part)).to(how.device)
-        previous, current, following = (to_model(stored[:, place]) for place in range(3))
+        previous, current, following = images_of_triplets(stored)
         latent = model.latent_action(previous, current, following)
         drawn = predicted_pixels(model, model.predict_with_latent(previous, current, latent), current.shape)
         known = {

@@ -51,7 +51,7 @@ from torch import Tensor
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import ModelContractBroken
 from dmotion_bench.learning.action_to_latent import ridge
-from dmotion_bench.learning.images import to_model
+from dmotion_bench.learning.images import images_of_triplets
 from dmotion_bench.scoring.latent_models import (
     AgentModel,
     AgentsModel,
@@ -125,7 +125,7 @@ def identify(model: LatentActionModel, held_out: HeldOut, *, batch_size: int, de
     codes = list[Tensor]()
     for batch in held_out.batches(batch_size):
         stored = torch.from_numpy(batch.frames).to(device)
-        previous, current, following = (to_model(stored[:, place]) for place in range(3))
+        previous, current, following = images_of_triplets(stored)
         motion = model.latent_action(previous, current, following)
         _require_numbers(model, "latent actions", motion)
         agents = torch.from_numpy(batch.agents[:, 0]).to(device)

@@ -110,7 +110,26 @@ FigureJson = Mapping[str, float | int | None]
 
 @dataclass(frozen=True, kw_only=True)
 class Report:
-    """The report of one run; its fields are those of the file."""
+    """The report of one run; its fields are those of the file.
+
+    Attributes:
+        run, model, arch, preset, seed: What was scored.
+        labels: ``asked``, the budget, and ``total``, how many labels the run was given.
+        dataset: ``name``, ``environment`` and ``fingerprint`` of what it was scored on; ``trained_on`` where the run's
+            own is another.
+        weights: SHA-256 of the weights.
+        settings: Of the scoring: ``split``, ``horizon``, ``precision`` and others; ``metrics``, the groups of figures.
+        training: What the training cost: ``seconds``, ``steps``, ``parameters`` and others.
+        versions: Of Python and the packages that scored it.
+        figures: By name: ``mean``, ``std``, ``low`` and ``high``, the bounds of the 95% interval over episodes, which
+            are None of fewer than five episodes, ``n``, the number of samples, and ``episodes``.
+        reference: The same for predictors that know nothing, by their names, such as ``copy_last``.
+        remarks: By the name of a reference what to bear in mind of it, and what could not be scored.
+        protocol: What the figures' names mean.
+        scoring_version: Of the code that scored.
+        planning: Of control: the planner and the objective, with all of their settings.
+        samples: ``file``, ``rows`` and ``sha256`` of what the figures are made of.
+    """
 
     run: str
     model: str
@@ -130,6 +149,10 @@ class Report:
     scoring_version: Version = SCORING_VERSION
     planning: Mapping[str, Any] = field(default_factory=dict)
     samples: Mapping[str, Any] = field(default_factory=dict)
+
+    def __repr__(self) -> str:
+        scored = ", ".join(self.settings["metrics"])
+        return f"<Report of {self.run!r} on {self.dataset['name']!r}, {self.settings['split']}: {scored}>"
 
     @property
     def trained_on(self) -> str | None:

@@ -10,7 +10,7 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.figures import Figures
 from dmotion_bench.scoring.label_use import label_use
-from dmotion_bench.scoring.references import published_for
+from dmotion_bench.scoring.references import PublishedResult, published_for
 from dmotion_bench.scoring.report import LABEL_USES, SCORING_VERSION, Report, protocol_of, training_facts
 from dmotion_bench.scoring.tiers import refused
 from dmotion_bench.scoring.transfer import training_of, transfer_remark
@@ -39,13 +39,62 @@ def compose_report(
         reference: Of the predictors that know nothing.
         settings: What decided the figures, and which groups there are (``ScoreSettings.to_json``).
     """
-    metrics = settings["metrics"]
     result = run.result or {}
     own = training_of(run, dataset)
     spec, environment, actions = run.spec, dataset.recipe.environment, dataset.spec.actions
     published = None if own else published_for(spec.model, environment, spec.labels, actions=actions)
     beside = {name: _json(one) for name, one in reference.items()}
-    remarks = {name: remark for name, remark in REMARKS.items() if name in beside}
+    if published is not None:
+        beside["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
+    use = label_use(spec, run.model.supervision)
+    return Report(
+        run=run.name,
+        model=spec.model,
+        arch=spec.arch,
+        preset=spec.preset,
+        seed=spec.seed,
+        labels={
+            "asked": spec.labels,
+            "given": result.get("labels", {}),
+            "total": result.get("labels_total", 0),
+        }
+        | ({"use": use} if use else {}),
+        dataset={
+            "name": dataset.name,
+            "environment": environment,
+            "fingerprint": dataset.fingerprint,
+        }
+        | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
+        | ({"actions": kind_of(actions)} if kind_of(actions) != "discrete" else {})
+        | ({"trained_on": own} if own else {}),
+        weights=result["weights"],
+        settings=dict(settings),
+        training=training_facts(result),
+        versions=versions(),
+        figures=_json(figures),
+        reference=beside,
+        remarks=_remarks(run, dataset, figures, reference, settings, published),
+        protocol=protocol_of(settings.get("control_column")),
+        scoring_version=SCORING_VERSION,
+    )
+
+
+def _remarks(
+    run: Run,
+    dataset: Dataset,
+    figures: Figures,
+    reference: Mapping[str, Figures],
+    settings: Mapping[str, Any],
+    published: PublishedResult | None,
+) -> dict[str, str]:
+    """What has to be borne in mind of the figures, and what could not be scored.
+
+    Args:
+        run, dataset, figures, reference, settings: See ``compose_report``.
+        published: What a paper has published of the model on this data, if it has.
+    """
+    metrics = settings["metrics"]
+    remarks = {name: remark for name, remark in REMARKS.items() if name in reference}
     left_out = refused(dataset.spec, dataset.recipe, metrics, figures)
     if dataset.spec.actions is None:
         remarks["actions"] = EXPLAINED
@@ -60,10 +109,9 @@ def compose_report(
             "control_picture_distance is the mean squared difference from the goal image, 1 at the start; the "
             "environment tells no positions, so it is no distance of objects, and no task counts as solved"
         )
-    if own:
+    if training_of(run, dataset):
         remarks["trained_on"] = transfer_remark(run, dataset, settings["split"])
     if published is not None:
-        beside["paper"] = {name: figure.to_json() for name, figure in published.figures.items()}
         remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()
     if "rollout" in metrics and not any(name.startswith("rollout_") for name in figures):
         remarks["rollout"] = (
@@ -72,41 +120,11 @@ def compose_report(
         )
     if not run.model.needs_pixels:
         remarks["prediction"] = f"{run.spec.model} draws no frames; what it is good for shows in control"
-    use = label_use(spec, run.model.supervision)
-    if use:
+    if use := label_use(run.spec, run.model.supervision):
         remarks["labels"] = LABEL_USES[use]
     if settings["protocol"] == "paper":
         remarks["split"] = "the paper's split shuffles triplets: most test frames were seen in training (it leaks)"
-    return Report(
-        run=run.name,
-        model=run.spec.model,
-        arch=run.spec.arch,
-        preset=run.spec.preset,
-        seed=run.spec.seed,
-        labels={
-            "asked": run.spec.labels,
-            "given": result.get("labels", {}),
-            "total": result.get("labels_total", 0),
-        }
-        | ({"use": use} if use else {}),
-        dataset={
-            "name": dataset.name,
-            "environment": dataset.recipe.environment,
-            "fingerprint": dataset.fingerprint,
-        }
-        | ({VERSION: dataset.recipe.version} if dataset.recipe.version != 1 else {})
-        | ({"actions": kind_of(actions)} if kind_of(actions) != "discrete" else {})
-        | ({"trained_on": own} if own else {}),
-        weights=result["weights"],
-        settings=dict(settings),
-        training=training_facts(result),
-        versions=versions(),
-        figures=_json(figures),
-        reference=beside,
-        remarks=remarks,
-        protocol=protocol_of(settings.get("control_column")),
-        scoring_version=SCORING_VERSION,
-    )
+    return remarks
 
 
 def _json(figures: Figures) -> dict[str, Any]:

@@ -113,6 +113,12 @@ class Dataset:
     def __len__(self) -> int:
         return len(self.rows)
 
+    def __iter__(self) -> Iterator[UInt8[np.ndarray, "t h w 3"]]:
+        """The video of each episode in turn, RGB 0-255; ``labels/`` is not opened."""
+        room = Room()
+        for episode in range(len(self)):
+            yield self.video(episode, room)
+
     def __fspath__(self) -> str:
         """Its folder: a data set may stand wherever a path may."""
         return str(self.where)
@@ -303,14 +309,9 @@ class Dataset:
 
     def _make_cache(self) -> None:
         file = self.cache_file
-        file.build(self._videos())
+        file.build(self)
         if file.folder == self.path / CACHE:
             file.remove_others()
-
-    def _videos(self) -> Iterator[UInt8[np.ndarray, "t h w 3"]]:
-        room = Room()
-        for episode in range(len(self)):
-            yield self.video(episode, room)
 
 
 def corrupt(dataset: Path | str, file: Path, damage: object) -> DatasetCorrupt:

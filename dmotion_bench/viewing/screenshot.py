@@ -65,16 +65,16 @@ class Camera:
         state = _patiently(self._client.get_state)
         return {view.origin: [report.summary for report in view.reports] for view in state.views}
 
-    def take_view(self, picture: Path, origin: str, *, frame: int, timeline: str = FRAME) -> None:
+    def take_view(self, picture: Path, origin: str, *, frame: int) -> None:
         """Write what the view of an entity shows at a frame as a PNG; its tab is to be in front.
 
         Raises:
-            ViewerError: There is none of that entity, or no such timeline.
+            ViewerError: There is none of that entity, or the scene has no frames.
         """
         views = {view.origin: view.view_id for view in _patiently(self._client.get_state).views}
         if origin not in views:
             raise ViewerError(f"no view is of {origin!r}; there are: {', '.join(sorted(views))}.")
-        self._go_to(timeline, frame)
+        self._go_to(FRAME, frame)
         _patiently(lambda: self._client.save_screenshot(str(picture.resolve()), view_id=views[origin]))
 
     def _go_to(self, timeline: str, place: int) -> None:

@@ -106,6 +106,16 @@ def test_every_name_that_is_offered_is_there() -> None:
         dm.trian  # type: ignore[attr-defined]  # noqa: B018
 
 
+def test_what_a_function_returns_can_be_named_in_annotations() -> None:
+    functions = [getattr(dm, name) for name in dm.__all__ if inspect.isfunction(getattr(dm, name))]
+    functions += [dm.Dataset.triplets, dm.Dataset.episode, dm.Dataset.labels]
+    returned = {
+        word for one in functions for word in re.findall(r"[A-Z]\w+", str(inspect.signature(one).return_annotation))
+    }
+    assert {"Run", "Difference", "EpisodeLabels"} <= returned
+    assert returned - {"Path", "None"} <= set(dm.__all__)
+
+
 def test_every_name_that_is_offered_is_in_the_reference() -> None:
     pages = "".join(page.read_text() for page in (ROOT / "docs" / "api").glob("*.md"))
     named = set(re.findall(r"^::: dmotion_bench\.[\w.]*\.(\w+)$", pages, re.MULTILINE))

@@ -23,8 +23,9 @@ from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.shared_pretraining import take_over
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.registry import model_class
 from dmotion_bench.specs import DatasetRecipe, Preset, Supervision
 from dmotion_bench.storage.dataset import Dataset
@@ -99,7 +100,7 @@ def _train(
     request = TrainingRequest(model=name, labels=labels, preset=Preset.TINY, settings=_settings(name) + more)
     run = open_run(request, dataset, folder, Workspace(folder))
 
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         if report.step == stop_at:
             raise Stopped
 

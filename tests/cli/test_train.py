@@ -19,7 +19,8 @@ from dmotion_bench.cli import main
 from dmotion_bench.interrupts import INTERRUPTED
 from dmotion_bench.learning.runs.checkpoint import load
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.state import StepReport
 
 pytestmark = pytest.mark.slow
 
@@ -238,8 +239,8 @@ def test_an_interruption_says_how_to_go_on_and_the_same_command_does(
 def test_who_is_asked_to_end_says_the_same_with_another_code(
     run: Command, data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def train_until_asked(run: Run, data: Any, fabric: Any, on_step: Callable[[Report], None], *rest: Any) -> Any:
-        def asked(report: Report) -> None:
+    def train_until_asked(run: Run, data: Any, fabric: Any, on_step: Callable[[StepReport], None], *rest: Any) -> Any:
+        def asked(report: StepReport) -> None:
             on_step(report)
             if report.step == 3:
                 signal.raise_signal(signal.SIGTERM)

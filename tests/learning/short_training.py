@@ -8,7 +8,8 @@ from typing import Any
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -28,7 +29,7 @@ def short_run(data: Path, folder: Path, **request: Any) -> Run:
 
 
 def train_short(run: Run, data: Path, stop_at: int | None = None) -> None:
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         if report.step == stop_at:
             raise Stopped
 

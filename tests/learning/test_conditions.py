@@ -15,7 +15,8 @@ from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.hardware.timing import FEWEST_ROUNDS, MOST_ROUNDS, clearly_faster, timed_in_turn
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -58,7 +59,7 @@ def _begun(
             found[name] = (seconds[used[-1]],) * 3
         return found
 
-    def stop(_: Report) -> None:
+    def stop(_: StepReport) -> None:
         used.append(torch.get_num_threads())
         raise Stopped
 

@@ -19,8 +19,9 @@ from dmotion_bench.learning.model import ModelInputs, TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.optimizer import learning_rate, optimizer_of, set_learning_rate
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import check_model
 from dmotion_bench.workspace import Workspace
@@ -87,7 +88,7 @@ def train_it(recorded: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., R
         for module in ("manifest", "start"):
             monkeypatch.setattr(f"dmotion_bench.learning.runs.{module}.model_class", lambda name: kind)
 
-        def on_step(report: Report) -> None:
+        def on_step(report: StepReport) -> None:
             if report.step == stop_at:
                 raise Stopped
 

@@ -15,7 +15,8 @@ from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -36,7 +37,7 @@ def _patient(
     )
     reached = 0
 
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         nonlocal reached
         reached = report.step
         if report.step == stop_at:

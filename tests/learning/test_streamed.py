@@ -32,7 +32,8 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training import conditions
 from dmotion_bench.learning.training.companions import Companions
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -312,7 +313,7 @@ def _run(walks: Dataset, folder: Path, *settings: str, **request) -> Run:
 
 
 def _train(run: Run, walks: Dataset, stop_at: int | None = None, loaders: int | None = None) -> None:
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         if report.step == stop_at:
             raise Stopped
 

@@ -17,8 +17,9 @@ from dmotion_bench.errors import PackageNotInstalled, RunError
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.metrics_log import read_rows
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.learning.training.tracking import require_trackers
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
@@ -39,7 +40,7 @@ def _train(data: Path, folder: Path, trackers: tuple[str, ...], stop_at: int | N
     dataset = Dataset.open(data)
     run = open_run(TrainingRequest(model="dmotion", settings=SETTINGS), dataset, folder, Workspace(folder))
 
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         if report.step == stop_at:
             raise Stopped
 

@@ -19,9 +19,9 @@ from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, open_run, training_data
 from dmotion_bench.learning.training.figures import StepFigures
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.resuming import NextRow
-from dmotion_bench.learning.training.state import TrainingState
+from dmotion_bench.learning.training.state import StepReport, TrainingState
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -110,7 +110,7 @@ def test_ctrl_c_keeps_the_step_and_the_run_goes_on(recorded, trained, tmp_path) 
 
     run = short_run(recorded, tmp_path / "run")
 
-    def on_step(report: Report) -> None:
+    def on_step(report: StepReport) -> None:
         if report.step == 3:
             os.kill(os.getpid(), signal.SIGINT)
 

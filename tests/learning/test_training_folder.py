@@ -16,8 +16,9 @@ from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
 from dmotion_bench.learning.training.beginning import finished_result
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.shared_pretraining import take_over
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import Workspace
@@ -93,7 +94,7 @@ def test_a_run_is_trained_by_one_at_a_time(recorded, tmp_path) -> None:
     run = short_run(recorded, tmp_path / "run")
     data = training_data(run, Dataset.open(recorded))
 
-    def train_too(report: Report) -> None:
+    def train_too(report: StepReport) -> None:
         with pytest.raises(FolderInUse, match="another dmbench is writing into"):
             train_short(short_run(recorded, run.path), recorded)
         raise Stopped

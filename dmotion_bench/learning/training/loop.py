@@ -13,7 +13,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -37,7 +37,7 @@ from dmotion_bench.learning.training.metrics_log import MetricsLog
 from dmotion_bench.learning.training.optimizer import AveragedWeights, learning_rate, optimizer_of, set_learning_rate
 from dmotion_bench.learning.training.resuming import BestFacts, Checkpoints, NextRow
 from dmotion_bench.learning.training.samples import write_sample
-from dmotion_bench.learning.training.state import TrainingState
+from dmotion_bench.learning.training.state import StepReport, TrainingState
 from dmotion_bench.learning.training.step import Stepper
 from dmotion_bench.learning.training.tracking import tracked
 from dmotion_bench.learning.training.validation import require_finite, validation_losses, validation_picture
@@ -53,22 +53,11 @@ LOG_ROWS = 200  # rows of metrics.jsonl in a training
 _STOP: Final = 2  # 1 asks for a checkpoint alone
 
 
-@dataclass(frozen=True, kw_only=True)
-class Report:
-    """The progress of a training; given to the progress callback after every step."""
-
-    step: int
-    steps: int
-    phase: str
-    loss: float
-    triplets_per_s: float
-
-
 def train(
     run: Run,
     data: TrainingData,
     fabric: Fabric,
-    on_step: Callable[[Report], None],
+    on_step: Callable[[StepReport], None],
     trackers: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Train a run from its last checkpoint to the end, align it, and write its result.
@@ -103,7 +92,7 @@ def _train(
     data: TrainingData,
     fabric: Fabric,
     companions: Companions,
-    on_step: Callable[[Report], None],
+    on_step: Callable[[StepReport], None],
     trackers: Sequence[str],
 ) -> dict[str, Any]:
     with using_threads(companions.of_first(lambda: run.threads or torch.get_num_threads())):
@@ -180,7 +169,7 @@ class _Trainer:
         self.run.read_again()
         return self.run.result
 
-    def fit(self, on_step: Callable[[Report], None], trackers: Sequence[str]) -> dict[str, Any]:
+    def fit(self, on_step: Callable[[StepReport], None], trackers: Sequence[str]) -> dict[str, Any]:
         if (result := self.companions.of_first(self._result)) is not None:  # here, where nobody else trains the run
             return result
         self.conditions = self._settle()
@@ -192,7 +181,7 @@ class _Trainer:
             self.trackers = opened.enter_context(tracked(trackers, self.run, self.state.step))
             return self._fit(on_step)
 
-    def _fit(self, on_step: Callable[[Report], None]) -> dict[str, Any]:
+    def _fit(self, on_step: Callable[[StepReport], None]) -> dict[str, Any]:
         validate_every = max(1, self.steps // self.config.validations)
         log_every = max(1, self.steps // LOG_ROWS)
         saved = time.monotonic()
@@ -203,28 +192,12 @@ class _Trainer:
                     continue
                 self.model.enter(part.phase)
                 self.state.enter(part)
-                for step in range(self.state.step, part.stop):
-                    terms, weight = self._train(part, step)
-                    self.state.step = step + 1
-                    self.state.row.add(terms, weight)
-                    on_step(
-                        Report(
-                            step=self.state.step,
-                            steps=self.steps,
-                            phase=part.phase.name,
-                            loss=terms["loss"],
-                            triplets_per_s=self.state.triplets_per_s,
-                        )
-                    )
-                    if self.state.step % log_every == 0 or self.state.step == part.stop:
-                        everybodys = self.companions.summed(self.state.row.sums)
-                        counted = self.state.row.steps * self.companions.world
-                        means = {name: total / counted for name, total in everybodys.items()}
-                        self._write(log, means)
-                        require_finite(self.model, means["loss"], self.state.step, validated=False)
-                        self.state.row = NextRow()
-                    validated = self.state.step % validate_every == 0 or self.state.step == part.stop
-                    if validated:
+                while self.state.step < part.stop:
+                    on_step(self._take_step(part))
+                    is_last = self.state.step == part.stop
+                    if self.state.step % log_every == 0 or is_last:
+                        self._write_row(log)
+                    if validated := self.state.step % validate_every == 0 or is_last:
                         self._validate(part, log)
                         self.state.end_early(part, validate_every, self.config.patience)
                         if self.state.step == part.stop < self.steps:
@@ -239,10 +212,15 @@ class _Trainer:
                     if wanted == _STOP:
                         self.companions.any(True)  # nobody leaves before the checkpoint is written
                         raise KeyboardInterrupt
-                    if self.state.step == part.stop:
-                        break
                 part.batches.close()
         return self._finish()
+
+    def _take_step(self, part: Part) -> StepReport:
+        """Take a step, and count it."""
+        terms, weight = self._train(part, self.state.step)
+        self.state.step += 1
+        self.state.row.add(terms, weight)
+        return self.state.report(part, self.steps, terms["loss"])
 
     def _train(self, part: Part, step: int) -> tuple[dict[str, float], float]:
         """Take a step; the terms of this process's part of the batch, and the weight of that part in their mean."""
@@ -342,6 +320,15 @@ class _Trainer:
         if not self.companions.is_first:
             return contextlib.nullcontext(MetricsLog(None))
         return MetricsLog.resumed(self.run.metrics, self.state.step)
+
+    def _write_row(self, log: MetricsLog) -> None:
+        """Write the mean losses of all processes since the last row; they must be finite."""
+        everybodys = self.companions.summed(self.state.row.sums)
+        counted = self.state.row.steps * self.companions.world
+        means = {name: total / counted for name, total in everybodys.items()}
+        self._write(log, means)
+        require_finite(self.model, means["loss"], self.state.step, validated=False)
+        self.state.row = NextRow()
 
     def _write(self, log: MetricsLog, values: Mapping[str, float]) -> None:
         rate = self.optimizer.param_groups[0]["lr"]

@@ -5,8 +5,32 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.data.curriculum import Part
 from dmotion_bench.learning.training.resuming import LastFacts, NextRow
+
+
+@dataclass(frozen=True, kw_only=True)
+class StepReport:
+    """The progress of a training; given to the progress callback after every step.
+
+    Attributes:
+        step, steps: Taken, and in all.
+        phase: The name of the present one.
+        loss: Of this step, before it was taken; of this process's part of the batch.
+        triplets_per_s: Since this process began.
+    """
+
+    step: int
+    steps: int
+    phase: str
+    loss: float
+    triplets_per_s: float
+
+    def as_progress(self, what: str) -> JobProgress:
+        """It as progress of the work that is called ``what``."""
+        status = f"{self.phase} loss {self.loss:.4f}, {self.triplets_per_s:.0f} triplets/s"
+        return JobProgress(what=what, done=self.step, total=self.steps, status=status, unit="steps")
 
 
 @dataclass
@@ -69,6 +93,12 @@ class TrainingState:
     def steps_of(self, part: Part) -> int:
         """The steps that a phase that is over took."""
         return self.ended.get(part.phase.name, part.stop) - part.start
+
+    def report(self, part: Part, steps: int, loss: float) -> StepReport:
+        """What is told after a step of a phase, of so many ``steps`` in all."""
+        return StepReport(
+            step=self.step, steps=steps, phase=part.phase.name, loss=loss, triplets_per_s=self.triplets_per_s
+        )
 
     def facts(self, row: NextRow) -> LastFacts:
         """For a checkpoint, with the part of the next row that each process goes on from."""

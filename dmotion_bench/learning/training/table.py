@@ -38,7 +38,8 @@ from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
 from dmotion_bench.learning.training.beginning import finished_result, is_finished
-from dmotion_bench.learning.training.loop import Report, train
+from dmotion_bench.learning.training.loop import train
+from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
@@ -364,10 +365,5 @@ def _what_is_trained(job: TableJob, why: JobsLost) -> Iterator[Outcome]:
     return train_table(job.request, Dataset.open(job.dataset), Workspace(job.workspace), look, job.rows)
 
 
-def _said(run: Run, report: Report) -> JobProgress:
-    return JobProgress(
-        what=f"{run.spec.model} {run.spec.labels}, seed {run.spec.seed}",
-        done=report.step,
-        total=report.steps,
-        status=f"{report.phase} loss {report.loss:.4f}, {report.triplets_per_s:.0f} triplets/s",
-    )
+def _said(run: Run, report: StepReport) -> JobProgress:
+    return report.as_progress(f"{run.spec.model} {run.spec.labels}, seed {run.spec.seed}")

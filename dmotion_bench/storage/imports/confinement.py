@@ -62,18 +62,17 @@ class Confinement:
         self.ask(path, {"do": "open", "number": number, "path": os.fspath(path), "kind": kind})
         return ConfinedRecording(self, number, path)
 
-    def ask(self, path: Path, request: dict[str, Any], body: bytes | memoryview = b"") -> dict[str, Any]:
+    def ask(self, path: Path, request: dict[str, Any]) -> dict[str, Any]:
         """Send a request and wait for its answer.
 
         Args:
             path: Of the recording that it is about, for the error.
             request: What is asked.
-            body: Bytes that belong to it.
 
         Raises:
             RecordingImportError: The reader says so, or is gone.
         """
-        self.request(path, request, body)
+        self.request(path, request)
         return self.answer(path)[0]
 
     def request(self, path: Path, request: dict[str, Any], body: bytes | memoryview = b"") -> None:

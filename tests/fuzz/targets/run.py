@@ -257,9 +257,9 @@ class _interrupted:  # noqa: N801 (a context)
         self.steps = steps
 
     def __enter__(self) -> None:
-        from dmotion_bench.learning.training import loop as training
+        from dmotion_bench.learning.training import state as training
 
-        self.before, count = training.Report, [0]
+        self.before, count = training.StepReport, [0]
 
         def report(**values: Any) -> Any:
             count[0] += 1
@@ -267,12 +267,12 @@ class _interrupted:  # noqa: N801 (a context)
                 os.kill(os.getpid(), 2)
             return self.before(**values)
 
-        training.Report = report  # type: ignore[misc, assignment]
+        training.StepReport = report  # type: ignore[misc, assignment]
 
     def __exit__(self, *_: object) -> None:
-        from dmotion_bench.learning.training import loop as training
+        from dmotion_bench.learning.training import state as training
 
-        training.Report = self.before  # type: ignore[misc]
+        training.StepReport = self.before  # type: ignore[misc]
 
 
 def remove(path: Path) -> None:

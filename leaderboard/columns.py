@@ -84,7 +84,8 @@ def _gain_captured(sequences: int | None = None) -> Column:
     return Column(
         figure=GAIN_CAPTURED,
         heading="Gain captured",
-        meaning=f"Of what the best of {compared} action sequences truly brings, the share of the model's favourite.",
+        meaning=f"Of what the best of {compared} action sequences truly brings, "
+        "the share that the model's favourite brings.",
         higher=True,
     )
 

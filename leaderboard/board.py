@@ -62,6 +62,7 @@ class Board:
         recording: The command that records the data set; empty where it is not known, or was no recording.
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
+        sequences: Action sequences that the gain captured compares; None where that is not known.
         rows: The best first, then the published rows and the references where their error puts them.
         control: The table of control by columns; None where nothing was scored for it.
         agreement: How well the gain captured agrees with other figures.
@@ -76,6 +77,7 @@ class Board:
     protocol: str = ""
     made_by: str = ""
     triplets: int | None = None
+    sequences: int | None = None
     rows: tuple[Row, ...]
     control: ColumnTable | None = None
     agreement: tuple[Agreement, ...] = ()
@@ -197,6 +199,7 @@ def _board(
         protocol=protocol,
         made_by=made_by,
         triplets=None if triplets is None else int(triplets),
+        sequences=usual.sequences,
         rows=_sorted(rows),
         control=control,
         agreement=agreements(measured, tables),

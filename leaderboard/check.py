@@ -180,6 +180,9 @@ def _score_anew(
 ) -> None:
     said = check.entry.content["settings"]
     others = {CONTROL} if said.get(f"{GAIN}_version", GAIN_VERSION) == GAIN_VERSION else {CONTROL, GAIN}
+    if not run.model.needs_pixels and not any(name.startswith("rollout_") for name in check.entry.figures):
+        others.add("rollout")
+        check.remarks.append("figures: the entry has no ranks of states, which came later for a model without frames")
     metrics = tuple(name for name in METRICS if name in said["metrics"] and name not in others)
     scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, shared=shared)
     same_scores(check, scores, metrics)

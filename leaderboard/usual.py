@@ -7,6 +7,7 @@ another one did.
 
 from __future__ import annotations
 
+import json
 import math
 import statistics
 from collections import defaultdict
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 from dmotion_bench.planning.mpc import CONTROL_VERSION
+from dmotion_bench.scoring.decisive import GAINED
 from dmotion_bench.scoring.gain import GAIN_VERSION
 from leaderboard.comparison import GAIN_CAPTURED
 from leaderboard.control import FIGURES as CONTROLLED
@@ -78,6 +80,13 @@ class Usual:
             or USUAL_PRECISION,
             frames=most_common((entry, one) for entry in entries if (one := entry.frames.get(RANKED_BY)) is not None),
         )
+
+    @property
+    def sequences(self) -> int | None:
+        """How many action sequences the gain captured compares; None where no entry says so."""
+        told = self.settings.get(GAIN_CAPTURED)
+        found = json.loads(told).get(f"{GAINED}sequences") if told else None
+        return found if isinstance(found, int) else None
 
     def leaves_out(self, entry: Entry) -> bool:
         """Whether an entry's errors are not of the frames that most are of."""

@@ -29,6 +29,7 @@ from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.gain import gain_tables, reason_against, require_gain
 from dmotion_bench.scoring.kept_control import shares_of
 from dmotion_bench.scoring.latent_models import LatentActionModel
+from dmotion_bench.scoring.latent_ranking import can_roll_out
 from dmotion_bench.scoring.latent_samples import learned_from_video, score_latent_actions, with_latent_actions
 from dmotion_bench.scoring.prediction import (
     MODEL,
@@ -101,7 +102,9 @@ def score_model(
     earlier: pa.Table | None = None,
     journal: Path | None = None,
 ) -> Scores:
-    """Score a model on held-out episodes; one that draws no frames (``needs_pixels``) has none to compare.
+    """Score a model on held-out episodes.
+
+    One that draws no frames (``needs_pixels``) has none to compare, but the states of its rollouts if it has any.
 
     Args:
         model: Aligned, in evaluation mode.
@@ -125,7 +128,8 @@ def score_model(
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
-        metrics = tuple(metric for metric in metrics if metric in OWN_SETTINGS)
+        others = (*OWN_SETTINGS, "rollout") if can_roll_out(model) else OWN_SETTINGS
+        metrics = tuple(metric for metric in metrics if metric in others)
     triplets = len(held_out) if "prediction" in metrics else 0
     rollouts = held_out.count_rollouts(settings.horizon) if "rollout" in metrics else 0
     if "rollout" in metrics and not rollouts and settings.horizon != ScoreSettings.horizon:
@@ -147,7 +151,7 @@ def score_model(
     with predicting(how.device):
         if "prediction" in metrics:
             tables.append(shared.get(identity, lambda: score_reference_steps(held_out, how), cache))
-        if "rollout" in metrics:
+        if "rollout" in metrics and model.needs_pixels:
             key, horizon = identity | {"horizon": settings.horizon}, settings.horizon
             tables.append(shared.get(key, lambda: score_reference_rollouts(held_out, how, horizon=horizon), cache))
     with predicting(how.device, settings.precision):

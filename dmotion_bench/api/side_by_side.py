@@ -152,7 +152,7 @@ def train_every(
         train: Trains one run to its end, where this process does it.
         trackers: That are told the curves, where others do it.
         warn: Told in a sentence, where others do it, of a model that breaks its contract before its trainings begin,
-            and of a run whose model was changed since it began.
+            and of what those were warned of: code or packages that changed since a run began, or that differ there.
         loaders: Threads that read the compressed files of a run that streams them, where others do it.
 
     Yields:
@@ -173,8 +173,8 @@ def train_every(
     at_once = _trained_at_once(request, chosen, dataset, workspace, hands, jobs, trackers, loaders)
     with contextlib.closing(at_once) as outcomes:
         for outcome in outcomes:
-            if outcome.run is not None:
-                tell_changes(outcome.run, warn)
+            for told in outcome.warnings:
+                warn(told)
             yield with_breach(outcome, breaches)
 
 

@@ -217,27 +217,8 @@ def score_run(
         FolderInUse: Another process scores the run.
     """
     run, settings = Run.open(path), settings or ScoreSettings()
-    column = settings.control.column
-    if column is not None and metrics not in (None, ("control",)):
-        raise InvalidSetting(f"the column {column!r} is of control alone; leave out the other groups of figures.")
-    metrics = ("control",) if column is not None else metrics
-    dataset, folder = scored_data(run, settings.split, data, column)
-    elsewhere = dataset.fingerprint != run.spec.fingerprint
-    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
-    settings = replace(settings, protocol=protocol)
-    if dataset.spec.actions is not None:
-        run.require_aligned()
-    lacking = None
-    if metrics is None:
-        lacking = reason_against(dataset, settings.split, settings.gain)
-        metrics = DEFAULT_METRICS if lacking else (*DEFAULT_METRICS, "gain")
-    elif "gain" in metrics and dataset.spec.actions is not None:
-        require_gain(dataset, settings.split, settings.gain)
-    if "control" in metrics:
-        require_tasks(dataset)  # said before the work, not after it
-        settings.control.require_use(dataset.spec.actions)
-    if dataset.spec.actions is None:
-        metrics = ("prediction",)
+    dataset, folder = scored_data(run, settings.split, data, settings.control.column)
+    metrics, settings, lacking = _asked(run, dataset, metrics, settings)
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
         remove_leftovers(folder)
@@ -283,6 +264,55 @@ def score_run(
         for done in (journal, *shares_of(journal)) if "control" in metrics else ():
             done.unlink(missing_ok=True)
     return written
+
+
+def _asked(
+    run: Run, dataset: Dataset, metrics: tuple[Metric, ...] | None, settings: ScoreSettings
+) -> tuple[tuple[Metric, ...], ScoreSettings, str | None]:
+    """The groups of figures that a run gets on a data set, how, and why the gain captured is none of the usual ones.
+
+    Raises:
+        As ``score_run``.
+    """
+    column = settings.control.column
+    if column is not None and metrics not in (None, ("control",)):
+        raise InvalidSetting(f"the column {column!r} is of control alone; leave out the other groups of figures.")
+    metrics = ("control",) if column is not None else metrics
+    elsewhere = dataset.fingerprint != run.spec.fingerprint
+    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
+    settings = replace(settings, protocol=protocol)
+    if dataset.spec.actions is not None:
+        run.require_aligned()
+    lacking = None
+    if metrics is None:
+        lacking = reason_against(dataset, settings.split, settings.gain)
+        metrics = DEFAULT_METRICS if lacking else (*DEFAULT_METRICS, "gain")
+    elif "gain" in metrics and dataset.spec.actions is not None:
+        require_gain(dataset, settings.split, settings.gain)
+    if "control" in metrics:
+        require_tasks(dataset)  # said before the work, not after it
+        settings.control.require_use(dataset.spec.actions)
+    if dataset.spec.actions is None:
+        metrics = ("prediction",)
+    return metrics, settings, lacking
+
+
+def is_up_to_date(
+    path: AnyPath, metrics: tuple[Metric, ...] | None, settings: ScoreSettings, data: AnyPath | None = None
+) -> bool:
+    """Whether a run's report holds all that ``score_run`` would be asked for; nothing is written.
+
+    Raises:
+        As ``score_run``.
+    """
+    run = Run.open(path)
+    dataset, folder = scored_data(run, settings.split, data, settings.control.column)
+    report, _ = standing_report(folder, run, dataset)
+    if report is None:
+        return False
+    metrics, settings, _ = _asked(run, dataset, metrics, settings)
+    settings = with_standing(settings, report, metrics)
+    return set(metrics) <= set(true_groups(run, dataset, report, settings, metrics))
 
 
 def scored_data(

@@ -17,6 +17,7 @@ from dmotion_bench.learning.data.triplets import SplitProtocol
 from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import column_named, require_fitting_tasks, words_of_test
@@ -331,7 +332,7 @@ def scored_data(
             or for other actions than it is for.
         RunMismatch, DatasetMissing: As ``score_run`` raises them.
     """
-    dataset = Dataset.open(data or run.dataset_path)
+    dataset = dataset_of(run) if data is None else Dataset.open(data)
     if column is not None:
         if dataset.fingerprint == run.spec.fingerprint:
             raise InvalidSetting(

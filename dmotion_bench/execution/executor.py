@@ -104,8 +104,11 @@ class JobQueue(Generic[Job]):
         else:
             self._lost.append(job)
 
-    def end(self) -> None:
+    def end(self, told: str = "") -> None:
         """Say that all other jobs are done.
+
+        Args:
+            told: A sentence more of the jobs that were put aside, such as where their logs are.
 
         Raises:
             JobsLost: Some jobs were put aside.
@@ -113,6 +116,7 @@ class JobQueue(Generic[Job]):
         if self._lost:
             raise JobsLost(
                 f"{self._who} was killed at the same job {ATTEMPTS} times, perhaps for want of memory, or of time on a "
-                "cluster; run the same command again, with fewer '--workers': it goes on where it stopped.",
+                "cluster; run the same command again, with fewer '--workers': it goes on where it stopped."
+                + (told and f" {told}"),
                 self._lost,
             )

@@ -8,22 +8,28 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
+import os
 import shutil
 import subprocess
 import time
-from collections.abc import Callable, Generator, Iterable
+from collections.abc import Callable, Generator, Iterable, Sequence
 from pathlib import Path
 from typing import Any, Final, Generic, Literal
 
 from dmotion_bench.errors import DmbenchError, PackageNotInstalled
 from dmotion_bench.execution.executor import Job, JobQueue, JobSize, Result, Sendable
-from dmotion_bench.wording import shown
+from dmotion_bench.wording import shortened, shown
 
 _NAME: Final = "dmbench"  # of all our jobs
 _ARRAY: Final = 1000  # tasks in a job array that every Slurm allows
 _LOOK_AGAIN: Final = {"slurm": 2.0, "local": 0.05}  # [s]
 _PATIENCE: Final = {"slurm": 90.0, "local": 0.0}
 """Seconds for a shared folder to show what a job that has ended wrote; NFS remembers for up to 60 what is there."""
+_DOUBTFUL: Final = ("UNKNOWN", "PREEMPTED")
+"""States in which submitit waits for a job, although it may never come back."""
+_ASK_AGAIN: Final = {"slurm": 30.0}  # [s] between two questions to Slurm's queue
+_LAST_WORDS: Final = 300  # characters
 _GOODBYE: Final = 10.0  # [s] for cancelled processes on this machine to end
 
 
@@ -65,6 +71,8 @@ class SlurmExecutor:
         self._submitit: Any = submitit
         self._workers, self._folder, self._cluster = workers, folder.absolute(), cluster
         self._size = size or JobSize()
+        self._asks_queue = cluster == "slurm" and shutil.which("squeue") is not None
+        self._asked, self._missed = -math.inf, set[str]()
 
     def map_unordered(self, function: Callable[[Job], Result], jobs: Iterable[Job]) -> Generator[Result, None, None]:
         """The results, as they are ready."""
@@ -73,22 +81,24 @@ class SlurmExecutor:
         self._folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         executor = self._executor()
         running: list[_Submitted[Job]] = []
-        failed = False
+        failed, told = False, ""
         try:
             while True:
                 running += self._submit(executor, function, queue, self._room(len(running)))
                 if not running:
                     break
-                ended = [one for one in running if one.ended(_PATIENCE[self._cluster])]
+                gone = self._gone(running)
+                ended = [one for one in running if one.ended(_PATIENCE[self._cluster], gone=one in gone)]
                 running = [one for one in running if one not in ended]
                 for one in ended:
                     if one.lost:
+                        told = one.last_words()
                         queue.killed(one.number, one.job)
                     else:
                         yield self._result(one)
                 if not ended:
                     time.sleep(_LOOK_AGAIN[self._cluster])
-            queue.end()
+            queue.end(told)
         except DmbenchError:
             failed = any(self._folder.glob("*_log.*"))  # they may say why
             raise
@@ -147,6 +157,22 @@ class SlurmExecutor:
             ) from None
         return [_Submitted(number, job, handle) for (number, job), handle in zip(chosen, handles, strict=True)]
 
+    def _gone(self, running: Sequence[_Submitted[Job]]) -> list[_Submitted[Job]]:
+        """Those of the jobs of which Slurm's accounts do not say that they ended, although its queue has them no more.
+
+        Accounts may be switched off, or forget a job; and a job that was preempted may or may not begin again.
+        """
+        doubtful = [one for one in running if one.handle.state.upper() in _DOUBTFUL] if self._asks_queue else []
+        if doubtful and time.monotonic() - self._asked >= _ASK_AGAIN[self._cluster]:
+            self._asked, self._missed = time.monotonic(), self._missing(running)
+        return [one for one in doubtful if one.handle.job_id in self._missed]
+
+    def _missing(self, running: Sequence[_Submitted[Job]]) -> set[str]:
+        """The numbers of the jobs that Slurm's queue does not have; none where it does not answer."""
+        words = ["squeue", "--noheader", "--array", "--format=%i", f"--name={_NAME}", f"--user={os.getuid()}"]
+        asked = subprocess.run(words, check=False, capture_output=True, text=True)
+        return set() if asked.returncode else {one.handle.job_id for one in running} - set(asked.stdout.split())
+
     def _result(self, one: _Submitted[Job]) -> Any:
         try:
             outcome = one.handle.result()
@@ -194,9 +220,25 @@ class _Submitted(Generic[Job]):
         """Whether it left no result, as when its process was killed."""
         return not self.handle.paths.result_pickle.exists()
 
-    def ended(self, patience: float) -> bool:
-        """Whether there is a result, or has been none for so long after its end [s]."""
-        if not self.handle.done():
+    def last_words(self) -> str:
+        """How the log of its errors ends, as a sentence, and where all logs are."""
+        try:
+            lines = self.handle.paths.stderr.read_text(errors="replace").splitlines()
+        except OSError:
+            return "It left no log: perhaps its machine does not see the workspace, or was switched off."
+        last = next((line.strip() for line in reversed(lines) if line.strip()), "")
+        said = f"Its log ends with {shown(shortened(last, _LAST_WORDS))}, and all" if last else "All"
+        return f"{said} logs are in {shown(str(self.handle.paths.folder))}."
+
+    def ended(self, patience: float, *, gone: bool = False) -> bool:
+        """Whether there is a result, or has been none for so long after its end [s].
+
+        Args:
+            patience: So long.
+            gone: Whether it ended although Slurm's accounts do not say so.
+        """
+        if not self.handle.done() and not gone:
+            self._done_since = None
             return False
         self._done_since = self._done_since or time.monotonic()
         return not self.lost or time.monotonic() - self._done_since >= patience

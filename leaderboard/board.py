@@ -32,7 +32,7 @@ from leaderboard.entry import USUAL_PRECISION, Entry
 from leaderboard.ranking import ranked
 from leaderboard.row import Row
 from leaderboard.run_names import settings_of, training_of, unusual_settings
-from leaderboard.usual import OTHER_FRAMES, RANKED_BY, Usual, most_common, planner_of, shared_figures
+from leaderboard.usual import OTHER_FRAMES, RANKED_BY, Usual, most_common, planner_of, shared_figures, to_tell_apart
 from leaderboard.value import Value, values_of
 
 OTHER_PLANNER: Final = "another planner"
@@ -261,12 +261,13 @@ def _measured_row(entries: Sequence[Entry], odd: str, usual: Usual) -> Row:
 def _told_apart(rows: list[Row]) -> list[Row]:
     """Give rows what is unusual about them, and those of the same model, architecture and budget different names.
 
-    Both are taken from their runs' names.
+    Both are taken from their runs' names. Where these do not tell rows apart, the one with most trainings keeps its
+    name.
     """
-    alone = [_beyond(row, unusual_settings) for row in rows]
-    apart = _where_alike(rows, alone, [_beyond(row, _settings_or_name) for row in rows])
-    apart = _where_alike(apart, apart, [_beyond(row, settings_of) for row in rows])
-    return _where_alike(apart, apart, [_by_weights(row) for row in apart])
+    counts = Counter(map(_called, rows))
+    told = [_beyond(row, _settings_or_name if counts[_called(row)] > 1 else unusual_settings) for row in rows]
+    told = _where_alike(told, [_beyond(row, settings_of) for row in rows])
+    return _where_alike(told, [_by_weights(row) for row in told])
 
 
 def _settings_or_name(entry: Entry) -> str:
@@ -275,11 +276,14 @@ def _settings_or_name(entry: Entry) -> str:
     return settings_of(entry) if unusual is None else unusual
 
 
-def _where_alike(of: list[Row], rows: list[Row], instead: list[Row]) -> list[Row]:
-    """``rows``, and the others in the place of those whose row of ``of`` shares its model, variant and budget."""
-    names = [(row.model, row.variant, row.labels) for row in of]
-    counts = Counter(names)
-    return [other if counts[name] > 1 else row for row, other, name in zip(rows, instead, names, strict=True)]
+def _called(row: Row) -> tuple[str, str, str]:
+    return row.model, row.variant, row.labels
+
+
+def _where_alike(rows: list[Row], instead: list[Row]) -> list[Row]:
+    """The rows, and the others in the place of those that have to be told from a row of the same name."""
+    apart = to_tell_apart([*map(_called, rows)], [row.seeds for row in rows])
+    return [other if told else row for row, other, told in zip(rows, instead, apart, strict=True)]
 
 
 def _by_weights(row: Row) -> Row:

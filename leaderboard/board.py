@@ -22,6 +22,7 @@ from typing import Any, Final
 from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.registry import environment_title, environment_versions
 from dmotion_bench.scoring.report import CONTRACT
+from dmotion_bench.specs import DatasetRecipe
 from leaderboard.agreement import Agreement, agreements
 from leaderboard.column_table import ORACLE, ColumnTable, column_table, rows_of_column
 from leaderboard.columns import TRUE_MOTION
@@ -59,6 +60,7 @@ class Board:
         made_by: Which other version of scoring, or of the control by columns, made its figures, in words; empty of this
             dmbench's. What two versions made stands on two boards.
         dataset, fingerprint: Of the data set; empty where only published results are known.
+        recipe: Of the data set; None where it is not known.
         recording: The command that records the data set; empty where it is not known, or was no recording.
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
@@ -71,6 +73,7 @@ class Board:
     version: int = 1
     dataset: str = ""
     fingerprint: str = ""
+    recipe: DatasetRecipe | None = None
     recording: str = ""
     split: str = ""
     protocol: str = ""
@@ -192,6 +195,7 @@ def _board(
         version=every[0].version,
         dataset=dataset,
         fingerprint=fingerprint,
+        recipe=next((recipe for entry in every if (recipe := entry.recipe) is not None), None),
         recording=next((shlex.join(words) for entry in every if (words := entry.record_words())), ""),
         split=split,
         protocol=protocol,

@@ -96,6 +96,10 @@ class JobQueue(Generic[Job]):
         """A job with its number; None if all are started."""
         return self._again.pop() if self._again else next(self._waiting, None)
 
+    def back(self, number: int, job: Job) -> None:
+        """Put a job back into the queue that could not be started; it is the next one."""
+        self._again.append((number, job))
+
     def killed(self, number: int, job: Job) -> None:
         """Put a job back into the queue because its worker has died, or aside if that was the last attempt."""
         self._killed[number] += 1

@@ -29,7 +29,8 @@ _PATIENCE: Final = {"slurm": 90.0, "local": 0.0}
 _DOUBTFUL: Final = ("UNKNOWN", "PREEMPTED")
 """States in which submitit waits for a job, although it may never come back."""
 _ASK_AGAIN: Final = {"slurm": 30.0}  # [s] between two questions to Slurm's queue
-_LAST_WORDS: Final = 300  # characters
+_LOG_END: Final = 4096  # bytes of a log that are read
+_LAST_WORDS: Final = 300  # characters of them that are said
 _GOODBYE: Final = 10.0  # [s] for cancelled processes on this machine to end
 
 
@@ -71,6 +72,7 @@ class SlurmExecutor:
         self._submitit: Any = submitit
         self._workers, self._folder, self._cluster = workers, folder.absolute(), cluster
         self._size = size or JobSize()
+        self._allowed = math.inf  # jobs that Slurm takes at a time
         self._asks_queue = cluster == "slurm" and shutil.which("squeue") is not None
         self._asked, self._missed = -math.inf, set[str]()
 
@@ -84,7 +86,7 @@ class SlurmExecutor:
         failed, told = False, ""
         try:
             while True:
-                running += self._submit(executor, function, queue, self._room(len(running)))
+                running += self._submit(executor, function, queue, len(running))
                 if not running:
                     break
                 gone = self._gone(running)
@@ -122,40 +124,50 @@ class SlurmExecutor:
     def _room(self, running: int) -> int:
         """How many jobs may be submitted beside those that run or wait.
 
-        Slurm likes few and large arrays, but bounds only how many tasks of one of them run at a time: while one is
-        there, what is submitted beside it may not exceed ``workers`` even if all of it runs.
+        No more than Slurm took when it refused some. It likes few and large arrays, but bounds only how many tasks of
+        one of them run at a time: while one is there, what is submitted beside it may not exceed ``workers`` even if
+        all of it runs.
         """
         if self._cluster == "local":
             return (self._workers or 1) - running
         if self._workers is not None and running:
-            return min(_ARRAY, self._workers - running)
-        return _ARRAY - running if running <= _ARRAY // 2 else 0
+            room = min(_ARRAY, self._workers - running)
+        else:
+            room = _ARRAY - running if running <= _ARRAY // 2 else 0
+        return int(min(room, self._allowed - running))
 
     def _submit(
-        self, executor: Any, function: Callable[[Job], Result], queue: JobQueue[Job], most: int
+        self, executor: Any, function: Callable[[Job], Result], queue: JobQueue[Job], running: int
     ) -> list[_Submitted[Job]]:
-        """At most so many jobs, as one array.
+        """Some jobs as one array beside those that run; half as many if Slurm refuses them, for it may limit them.
 
         Raises:
-            DmbenchError: Slurm refuses them.
+            DmbenchError: Slurm refuses a single one.
         """
-        chosen = list[tuple[int, Job]]()
+        chosen, most = list[tuple[int, Job]](), self._room(running)
         while len(chosen) < most and (numbered := queue.next()) is not None:
             chosen.append(numbered)
-        if not chosen:
-            return []
         errors = self._submitit.core.utils
-        try:
-            with contextlib.redirect_stderr(io.StringIO()):  # submitit prints there what it raises
-                handles = executor.map_array(_Guarded(function), [job for _, job in chosen])
-        except (errors.FailedJobError, errors.FailedSubmissionError) as error:
-            said = " ".join(str(error).split()) or "sbatch gave no reason"
-            raise DmbenchError(
-                f"Slurm refuses the jobs: {said.rstrip('.')}. Name your account and a partition in the variables "
-                "SBATCH_ACCOUNT and SBATCH_PARTITION ('sacctmgr show associations' and 'sinfo' list them), and run the "
-                "same command again."
-            ) from None
-        return [_Submitted(number, job, handle) for (number, job), handle in zip(chosen, handles, strict=True)]
+        while chosen:
+            try:
+                with contextlib.redirect_stderr(io.StringIO()):  # submitit prints there what it raises
+                    handles = executor.map_array(_Guarded(function), [job for _, job in chosen])
+            except (errors.FailedJobError, errors.FailedSubmissionError) as error:
+                if running + len(chosen) == 1:
+                    said = " ".join(str(error).split()) or "sbatch gave no reason"
+                    raise DmbenchError(
+                        f"Slurm refuses the jobs: {said.rstrip('.')}. Name your account and a partition in the "
+                        "variables SBATCH_ACCOUNT and SBATCH_PARTITION ('sacctmgr show associations' and 'sinfo' list "
+                        "them), and run the same command again."
+                    ) from None
+                kept = len(chosen) // 2
+                for numbered in reversed(chosen[kept:]):
+                    queue.back(*numbered)
+                chosen, self._allowed = chosen[:kept], max(1, running + kept)
+            else:
+                self._allowed *= 2  # it may have refused for another reason
+                return [_Submitted(number, job, handle) for (number, job), handle in zip(chosen, handles, strict=True)]
+        return []
 
     def _gone(self, running: Sequence[_Submitted[Job]]) -> list[_Submitted[Job]]:
         """Those of the jobs of which Slurm's accounts do not say that they ended, although its queue has them no more.
@@ -222,8 +234,11 @@ class _Submitted(Generic[Job]):
 
     def last_words(self) -> str:
         """How the log of its errors ends, as a sentence, and where all logs are."""
+        path: Path = self.handle.paths.stderr
         try:
-            lines = self.handle.paths.stderr.read_text(errors="replace").splitlines()
+            with path.open("rb") as log:
+                log.seek(max(0, path.stat().st_size - _LOG_END))
+                lines = log.read(_LOG_END).decode(errors="replace").splitlines()
         except OSError:
             return "It left no log: perhaps its machine does not see the workspace, or was switched off."
         last = next((line.strip() for line in reversed(lines) if line.strip()), "")

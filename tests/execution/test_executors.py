@@ -235,6 +235,28 @@ def test_what_the_logs_of_lost_jobs_end_with_is_told(tmp_path: Path, slurm: Path
         list(make_executor("slurm", 1, tmp_path / "other").map_unordered(abs, [-1]))
 
 
+LIMITED = """#!{python}
+import os, re, subprocess, sys
+from pathlib import Path
+array = re.search(r"--array=0-(\\d+)%", Path(sys.argv[1]).read_text())
+asked = int(array[1]) + 1 if array else 1
+if asked + len(subprocess.run(["squeue"], capture_output=True, check=True).stdout.split()) > {most}:
+    sys.exit("sbatch: error: QOSMaxSubmitJobPerUserLimit")
+os.execv({sbatch!r}, [{sbatch!r}, *sys.argv[1:]])
+"""
+
+
+@needs_submitit
+@pytest.mark.parametrize("workers", [None, 4])
+def test_where_slurm_takes_few_jobs_at_a_time_few_are_sent(tmp_path: Path, slurm: Path, workers: int | None) -> None:
+    sbatch, own = slurm / "bin" / "sbatch", slurm / "bin" / "sbatch-without-limit"
+    sbatch.rename(own)
+    sbatch.write_text(LIMITED.format(python=sys.executable, most=2, sbatch=str(own)))
+    sbatch.chmod(0o755)
+    executor = make_executor("slurm", workers, tmp_path / "jobs")
+    assert sorted(executor.map_unordered(abs, range(-5, 0))) == [1, 2, 3, 4, 5]
+
+
 @needs_submitit
 @pytest.mark.usefixtures("slurm")
 def test_a_path_that_slurm_would_change_is_a_sentence(tmp_path: Path) -> None:

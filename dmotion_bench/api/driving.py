@@ -135,7 +135,7 @@ def open_driven(run: AnyPath | None, episode: int | None, workspace: Workspace) 
     """
     opened = Run.open(workspace.run(run))
     opened.require_aligned()
-    dataset = dataset_of(opened)
+    dataset = dataset_of(opened, Dataset)
     if dataset.spec.actions is None:
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
     test = dataset.split("test")

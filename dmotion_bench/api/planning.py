@@ -287,7 +287,7 @@ def open_trial(
     else:
         opened = Run.open(workspace.run(run, REFERENCES))
         opened.require_aligned()
-        dataset = dataset_of(opened) if data is None else Dataset.open(workspace.dataset(data))
+        dataset = dataset_of(opened, Dataset) if data is None else Dataset.open(workspace.dataset(data))
         who = opened.name
         model = opened.model
     if dataset.recipe.environment == IMPORTED:

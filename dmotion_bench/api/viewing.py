@@ -357,7 +357,7 @@ def _chosen(
     runs = [Run.open(path) for path in paths]
     if len(runs) > 1:
         runs = comparable(runs)
-    dataset = dataset_of(runs[0]) if data is None else Dataset.open(data)
+    dataset = dataset_of(runs[0], Dataset) if data is None else Dataset.open(data)
     if data is not None:
         dataset = fitting(runs[0], dataset)
     told: dict[int, str] = {}

@@ -332,7 +332,7 @@ def scored_data(
             or for other actions than it is for.
         RunMismatch, DatasetMissing: As ``score_run`` raises them.
     """
-    dataset = dataset_of(run) if data is None else Dataset.open(data)
+    dataset = dataset_of(run, Dataset) if data is None else Dataset.open(data)
     if column is not None:
         if dataset.fingerprint == run.spec.fingerprint:
             raise InvalidSetting(

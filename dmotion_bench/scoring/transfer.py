@@ -255,7 +255,7 @@ def _concatenated(dataset: Dataset, *splits: SplitName) -> Int[np.ndarray, " n"]
 def own_dataset(run: Run) -> Dataset | None:
     """The data set that the run was trained on, if it still exists unchanged."""
     try:
-        dataset = dataset_of(run)
+        dataset = dataset_of(run, Dataset)
     except DatasetError:
         return None
     return dataset if dataset.fingerprint == run.spec.fingerprint else None

@@ -100,13 +100,13 @@ def test_a_data_set_is_found_under_another_name_by_its_fingerprint(tmp_path: Pat
     spec = dataclasses.replace(_asked(), fingerprint=meant.fingerprint)
     run = Run.create_or_open(tmp_path / "runs" / "one", spec, dataset_path=Path("data/grid"), versions={})
     assert run.dataset_path == meant.path
-    assert dataset_of(run).fingerprint == meant.fingerprint
+    assert dataset_of(run, Dataset).fingerprint == meant.fingerprint
     shutil.rmtree(data / "published")
     assert run.dataset_path == data / "grid"  # it has changed, and whoever opens it says so
     shutil.rmtree(data / "grid")
     said = rf"the run 'one' was trained on the data set 'grid', .* 'dmbench share pull {meant.fingerprint[:12]} --from"
     with pytest.raises(DatasetMissing, match=said):
-        dataset_of(run)
+        dataset_of(run, Dataset)
 
 
 def _asked(**settings: object) -> RunSpec:

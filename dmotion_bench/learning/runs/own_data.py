@@ -38,7 +38,7 @@ def find_own_data(named: Iterable[Path], workspaces: Iterable[Path], fingerprint
     return there[0] if there else None
 
 
-def dataset_of(run: Run, kind: type[AnyDataset] = Dataset) -> AnyDataset:  # type: ignore[assignment]
+def dataset_of(run: Run, kind: type[AnyDataset]) -> AnyDataset:
     """The data set that a run was trained on, as it is now: it may have changed.
 
     Args:

@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunError, UsageError
+from dmotion_bench.learning.runs.own_data import find_own_data
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, TRANSFERS, Report
@@ -225,7 +226,8 @@ def _dataset(run: Run, report: Report) -> Dataset | None:
     try:
         own = run.dataset_path
         path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
-        dataset = Dataset.open(path)
+        workspace = run.path.absolute().parent.parent
+        dataset = Dataset.open(find_own_data([path], [workspace], report.dataset["fingerprint"]) or path)
     except (DatasetError, RunError):
         return None
     return dataset if dataset.fingerprint == report.dataset["fingerprint"] else None

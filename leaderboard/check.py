@@ -12,8 +12,9 @@ In this order:
    labels that the budget gives on the data set of the training;
 6. the pictures, predicted anew.
 
-What cannot be shown so: that the training used the seed and the labels that it says, how long it took, and which
-packages were installed. That takes training again; a run is reproducible from its ``run.json`` and its data set.
+What cannot be shown so: that the weights are what the training made, and no copy that was changed a little; that the
+training used the seed and the labels that it says, how long it took, and which packages were installed. That takes
+training again; a run is reproducible from its ``run.json`` and its data set.
 """
 
 from __future__ import annotations

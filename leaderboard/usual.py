@@ -127,6 +127,26 @@ def shared_figures(votes: Iterable[tuple[Entry, str, Mapping[str, Any]]]) -> dic
     }
 
 
+def to_tell_apart(names: Sequence[Hashable], trainings: Sequence[int]) -> list[bool]:
+    """Which rows need another name, since others have theirs: all but the one with most trainings, if there is one.
+
+    So a single entry renames no row of several trainings, whose name tables, curves and pages find it by.
+
+    Args:
+        names: What each row is called so far.
+        trainings: How many are behind each.
+    """
+    having: dict[Hashable, list[int]] = defaultdict(list)
+    for name, count in zip(names, trainings, strict=True):
+        having[name].append(count)
+    told = []
+    for name, count in zip(names, trainings, strict=True):
+        counts = having[name]
+        keeps = count == max(counts) and counts.count(count) == 1
+        told.append(not keeps)
+    return told
+
+
 def _middle(said: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:
     """The first of some figures that is the median but for rounding."""
     known = [one for one in said if one["mean"] is not None]

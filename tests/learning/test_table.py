@@ -24,6 +24,7 @@ from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.versions import deciding_versions
 from dmotion_bench.workspace import Workspace
 
 REQUEST = TrainingRequest(model="", preset=Preset.TINY, seed=3)
@@ -119,6 +120,25 @@ def test_where_a_machine_does_not_see_the_data_its_rows_fail_and_name_it(dataset
     assert "not-mounted" in (unseen.error or "")
     assert "under the same path" in (unseen.error or "")
     assert seen.error is None
+
+
+def test_jobs_say_once_of_a_machine_that_it_has_other_packages_and_of_each_run_that_goes_on_with_them(
+    dataset, tmp_path
+) -> None:
+    here = deciding_versions()
+    first, second = (
+        replace(_job(dataset, tmp_path, labels=labels), versions=here | {"torch": "1.0"}) for labels in ("100%", "10%")
+    )
+    one, other = train_jobs([first, second], local_executor(1))
+    machine = f"the machine {socket.gethostname()!r} trains with torch {here['torch']}, and the one where the command"
+    assert [told.startswith(machine) for told in one.warnings] == [True]
+    assert other.warnings == ()
+    assert one.run is not None
+    one.run.manifest |= {"result": None, "versions": one.run.manifest["versions"] | {"torch": "1.0"}}
+    one.run.write()
+    (again,) = train_jobs([replace(first, versions=here)], local_executor(1))
+    assert "goes on with another version than it began with (torch 1.0, " in again.warnings[0]
+    assert str(one.run.path) in again.warnings[0]
 
 
 @pytest.mark.slow

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import platform
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.storage.lock import held
-from dmotion_bench.versions import DECIDING, versions, with_earlier
+from dmotion_bench.versions import DECIDING, differing, versions, with_earlier
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST
 
@@ -81,6 +82,16 @@ def _tell_versions(run: Run, warn: Callable[[str], None]) -> None:
         warn(
             f"that training goes on with another version than it began with ({'; '.join(changed)}), so its weights are "
             f"those of neither alone; to train with one version, delete {shown(str(run.path))} first."
+        )
+
+
+def tell_machine(command: Mapping[str, str], warn: Callable[[str], None]) -> None:
+    """Warn that this machine trains with other versions than the machine of the command has, if it does."""
+    if (other := differing(command)) is not None:
+        here, there = other
+        warn(
+            f"the machine {shown(platform.node())} trains with {here}, and the one where the command was typed has "
+            f"{there}; weights depend on it. To compare trainings, install the same versions on all machines."
         )
 
 

@@ -36,7 +36,14 @@ from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
+from dmotion_bench.learning.runs.start import (
+    TrainingRequest,
+    default_path,
+    open_run,
+    require_labels,
+    resolve,
+    training_data,
+)
 from dmotion_bench.learning.training.beginning import finished_result, is_finished
 from dmotion_bench.learning.training.loop import Report, train
 from dmotion_bench.registry import model_class, model_names
@@ -239,7 +246,7 @@ def _rows_trained(job: TableJob, around: Callable[[Run], AbstractContextManager[
         return [RowResult(row=row, path=None, error=str(error)) for row in job.rows]
 
     def complete(run: Run) -> None:
-        if finished_result(run) is None:
+        if finished_result(run, ready=lambda: require_labels(run, dataset, job.loaders)) is None:
             fabric = launch(job.device)
             with around(run):
                 data = training_data(run, dataset, job.loaders)

@@ -19,6 +19,7 @@ from typing import NoReturn
 import typer
 
 from dmotion_bench import __version__
+from dmotion_bench.cli.misuse import Misuse, is_help, told
 from dmotion_bench.errors import DmbenchError, Interrupted, ProcessLost, UsageError
 from dmotion_bench.execution.processes import LOST, NO_ROOM, is_led
 from dmotion_bench.interrupts import INTERRUPTED, exit_code, received
@@ -89,7 +90,14 @@ def main() -> None:
         _require_text()
         with _log_on_stderr():
             register_commands()
-            app(prog_name="dmbench", standalone_mode=True)
+            sys.exit(app(prog_name="dmbench", standalone_mode=False) or 0)
+    except Misuse as error:
+        if is_help(error):
+            error.show()
+            raise SystemExit(error.exit_code) from None
+        _fail(told(error), error.exit_code)
+    except typer.Abort:  # what Typer makes of an EOFError
+        _fail("aborted.", 1)
     except UsageError as error:
         _fail(str(error), 2)
     except ProcessLost as error:
@@ -99,9 +107,9 @@ def main() -> None:
     except DmbenchError as error:
         _fail(str(error), 1)
     except (MemoryError, RuntimeError) as error:
-        if (told := _out_of_memory(error)) is None:
+        if (said := _out_of_memory(error)) is None:
             raise
-        _fail(told, 1)
+        _fail(said, 1)
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(1) from None

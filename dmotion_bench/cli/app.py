@@ -7,7 +7,6 @@ by Ctrl-C, 143 by SIGTERM, 129 by a closed terminal.
 from __future__ import annotations
 
 import contextlib
-import errno
 import importlib
 import logging
 import os
@@ -21,9 +20,9 @@ import typer
 from dmotion_bench import __version__
 from dmotion_bench.cli.misuse import Misuse, is_help, told
 from dmotion_bench.errors import DmbenchError, Interrupted, ProcessLost, UsageError
-from dmotion_bench.execution.processes import LOST, NO_ROOM, is_led
+from dmotion_bench.execution.processes import LOST, is_led
+from dmotion_bench.execution.refusals import refused
 from dmotion_bench.interrupts import INTERRUPTED, exit_code, received
-from dmotion_bench.storage.atomic import FULL
 from dmotion_bench.storage.limits import LONGEST_TEXT
 from dmotion_bench.wording import sentence, shown
 from dmotion_bench.workspace import CACHE_VARIABLE
@@ -55,10 +54,6 @@ COMMANDS = (
     "info",
 )
 """Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
-
-
-_DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
-_GONE = (errno.ENOENT, errno.ESTALE)
 
 
 def _version(value: bool) -> None:
@@ -114,7 +109,7 @@ def main() -> None:
         sys.stderr.close()
         raise SystemExit(1) from None
     except OSError as error:
-        _fail(_refused(error), 1)
+        _fail(refused(error), 1)
     except KeyboardInterrupt:
         _fail("" if is_led() else INTERRUPTED, exit_code())
     except SystemExit as leaving:
@@ -185,22 +180,3 @@ def _log_on_stderr() -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-
-
-def _refused(error: OSError) -> str:
-    """What the operating system would not do, in a sentence."""
-    what, why = shown(error.filename) if error.filename is not None else "a file", error.strerror or error
-    if error.errno in FULL:
-        return (
-            f"no space left on the device while writing {what}; free some and run the same command again: "
-            "it goes on where it stopped."
-        )
-    if error.errno in NO_ROOM:
-        return (
-            f"this machine has no memory or no process left ({why}); end other programs and run the same command again."
-        )
-    if error.errno in _DENIED:
-        return f"may not write or read {what}: {why}."
-    if error.errno in _GONE:
-        return f"{what} is not there, or was deleted meanwhile; run the same command again, or name another path."
-    return f"cannot write or read {what}: {why}; name another path."

@@ -100,9 +100,7 @@ def score_job(job: ScoreJob) -> ScoreOutcome:
                 data=job.data,
             )
     except Exception as error:  # a stranger's model may raise anything; the others are to be scored
-        known = isinstance(error, DmbenchError)
-        text = str(error) if known else f"{type(error).__name__}: {error}"
-        return ScoreOutcome(run=job.run, error=text, unfit=isinstance(error, RunMismatch))
+        return ScoreOutcome(run=job.run, error=reason(error), unfit=isinstance(error, RunMismatch))
     finally:
         told.end()
     return ScoreOutcome(run=job.run)

@@ -33,6 +33,7 @@ from dmotion_bench.errors import (
 )
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.execution.refusals import reason
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
@@ -144,8 +145,7 @@ def train_table(
         except FolderInUse:
             yield Outcome(row=row, run=run, error="being trained by another process.", busy=True)
         except Exception as error:  # a stranger's model may raise anything; the others are to be trained
-            told = isinstance(error, DmbenchError)
-            yield Outcome(row=row, run=run, error=str(error) if told else f"{type(error).__name__}: {error}")
+            yield Outcome(row=row, run=run, error=reason(error))
         else:
             yield Outcome(row=row, run=run)
 

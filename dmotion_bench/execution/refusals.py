@@ -11,6 +11,7 @@ from dmotion_bench.storage.atomic import FULL
 from dmotion_bench.wording import shown
 
 _DENIED: Final = (errno.EACCES, errno.EPERM, errno.EROFS)
+_IN_THE_WAY: Final = (errno.EEXIST, errno.ENOTDIR)
 _GONE: Final = (errno.ENOENT, errno.ESTALE)
 
 
@@ -37,4 +38,6 @@ def refused(error: OSError) -> str:
         return f"may not write or read {what}: {why}."
     if error.errno in _GONE:
         return f"{what} is not there, or was deleted meanwhile; run the same command again, or name another path."
+    if error.errno in _IN_THE_WAY:
+        return f"{what} cannot be there, a file is in the way; name another path."
     return f"cannot write or read {what}: {why}; name another path."

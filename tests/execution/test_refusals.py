@@ -15,7 +15,10 @@ from dmotion_bench.execution.refusals import reason
     [
         (RunError("training diverged."), "training diverged."),
         (PermissionError(errno.EACCES, "Permission denied", "/runs/a"), "may not write or read '/runs/a': Permission"),
-        (FileExistsError(errno.EEXIST, "File exists", "/runs/a"), "write or read '/runs/a': File exists; name another"),
+        (
+            FileExistsError(errno.EEXIST, "File exists", "/runs/a"),
+            "'/runs/a' cannot be there, a file is in the way; name",
+        ),
         (FileNotFoundError(errno.ENOENT, "No such file", "/a\x1b[31m"), "'/a\\x1b[31m' is not there, or was deleted"),
         (OSError("a library's own"), "cannot write or read a file: a library's own; name another path."),
         (ZeroDivisionError("by hand"), "ZeroDivisionError: by hand"),

@@ -23,7 +23,7 @@ def is_help(error: Any) -> bool:
 def told(error: Any) -> str:
     """The sentence: what was given, what is allowed, and which command explains it."""
     said = str(error.format_message()).rstrip(".")
-    faults = getattr(error.__cause__, "errors", list)()  # of pydantic, with which newer versions of Typer look
+    faults: list[dict[str, Any]] = getattr(error.__cause__, "errors", list)()  # of pydantic, in newer versions of Typer
     if faults:
         option, _, rule = said.removeprefix("Invalid value for ").partition(": Input should ")
         said = f"{option} is {shown(faults[0]['input'])}; it should {rule.partition(',')[0]}"

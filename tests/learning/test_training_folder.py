@@ -13,7 +13,15 @@ from learning.short_training import SETTINGS, Stopped, short_run, train_short
 from made_up_import import write_import
 
 from dmotion_bench.api.training import begin, complete
-from dmotion_bench.errors import FolderInUse, LabelsNotAvailable, RunCorrupt, RunMismatch, RunMissing, UsageError
+from dmotion_bench.errors import (
+    FolderInUse,
+    LabelsNotAvailable,
+    RunCorrupt,
+    RunMismatch,
+    RunMissing,
+    UnknownName,
+    UsageError,
+)
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
@@ -42,6 +50,11 @@ def test_each_budget_has_a_folder_of_its_own(recorded, tmp_path, model, labels, 
     request = TrainingRequest(model=model, labels=labels)
     spec = resolve(request, Dataset.open(recorded))
     assert default_path(request, spec, Workspace(tmp_path)) == tmp_path / "runs" / name
+
+
+def test_an_empty_architecture_is_none(recorded) -> None:
+    with pytest.raises(UnknownName, match="no architecture of dmotion named ''; known: compact, paper"):
+        resolve(TrainingRequest(model="dmotion", arch=""), Dataset.open(recorded))
 
 
 def test_a_budget_that_is_larger_than_the_data_set_is_refused_with_what_there_is(recorded, tmp_path) -> None:

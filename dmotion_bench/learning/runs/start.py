@@ -71,7 +71,7 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         LabelsNotAvailable: The budget asks for labels, and the actions of the data set are not known.
     """
     kind = model_class(request.model)
-    arch = request.arch or kind.architectures[0]
+    arch = kind.architectures[0] if request.arch is None else request.arch
     if arch not in kind.architectures:
         raise UnknownName(f"architecture of {request.model}", arch, kind.architectures)
     labels = _labels(request, kind.supervision, dataset)

@@ -23,6 +23,7 @@ import torch
 from dmotion_bench.errors import DmbenchError, JobsLost, RunMismatch
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.execution.refusals import reason
 from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run

@@ -29,6 +29,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
 from dmotion_bench.storage.links import require_within
 from dmotion_bench.wording import command, shown
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST
 from leaderboard.action_texts import actions_of
 from leaderboard.comparison import as_in_an_entry, scored, sums_by_episode
 from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
@@ -84,10 +85,10 @@ def build(
 
     Raises:
         EntryInvalid: A given entry is none.
-        UsageError: The folder holds a page of another kind, or what is written into it would be written elsewhere.
+        UsageError: The folder holds a page of another kind, data sets or runs, or what is written into it would be
+            written elsewhere.
     """
-    if (out / PAGE).exists() and not (out / SCHEMA).exists():
-        raise UsageError(f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'.")
+    _require_place(out)
     for inner in (out / ENTRIES, out / ENTRIES / REFERENCES):
         require_within(inner, out, "leaderboard", UsageError)
     found: dict[str, Entry] = {}
@@ -128,6 +129,26 @@ def build(
         left_out=left_out,
         doubtful=tuple(doubtful),
     )
+
+
+def _require_place(out: Path) -> None:
+    """Refuse a folder that holds no leaderboard and something else that a page may not stand beside.
+
+    Raises:
+        UsageError: It holds a page of another kind, or data sets or runs.
+    """
+    if (out / PAGE).exists():
+        if not (out / SCHEMA).exists():
+            raise UsageError(
+                f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'."
+            )
+        return
+    for kind, manifest in (("a data set", DATASET_MANIFEST), ("a run", RUN_MANIFEST)):
+        if (held := next((one for at in (manifest, f"*/{manifest}") for one in out.glob(at)), None)) is not None:
+            raise UsageError(
+                f"{shown(str(out))} holds {kind} and no leaderboard ({shown(str(held))}); name another folder with "
+                "'--out DIR'."
+            )
 
 
 def _remove_outdated(folder: Path, entries: Sequence[Entry], own: Sequence[Entry]) -> list[str]:

@@ -25,7 +25,7 @@ from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest, resolve
+from dmotion_bench.learning.runs.start import TrainingRequest, require_enough, resolve
 from dmotion_bench.learning.training.table import Outcome, Row, job_of, rows, train_side_by_side, train_table
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.figures import Figures
@@ -118,7 +118,7 @@ class Hands:
 
 def table_rows(dataset: Dataset, seeds: Sequence[int] | None = None) -> list[Row]:
     """Every model with each of its label budgets on a data set, with each seed, or with that of the request."""
-    return list(rows(dataset, (None,) if seeds is None else tuple(dict.fromkeys(seeds))))
+    return list(rows(dataset, (None,) if seeds is None else tuple(seeds)))
 
 
 def seed_rows(request: TrainingRequest, dataset: Dataset, seeds: Sequence[int]) -> list[Row]:
@@ -127,8 +127,9 @@ def seed_rows(request: TrainingRequest, dataset: Dataset, seeds: Sequence[int]) 
     Raises:
         UnknownName, InvalidSetting, UsageError: The request asks for what cannot be trained.
     """
+    require_enough(request, dataset)
     resolve(request, dataset)
-    return [Row(model=request.model, labels=request.labels or "", seed=seed) for seed in dict.fromkeys(seeds)]
+    return [Row(model=request.model, labels=request.labels or "", seed=seed) for seed in seeds]
 
 
 def train_every(

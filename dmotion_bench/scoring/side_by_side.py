@@ -24,6 +24,7 @@ import torch
 from dmotion_bench.errors import DatasetMissing, DmbenchError, JobsLost, RunMismatch
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.execution.refusals import reason
 from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
@@ -104,8 +105,7 @@ def score_job(job: ScoreJob) -> ScoreOutcome:
                 data=job.data,
             )
     except Exception as error:  # a stranger's model may raise anything; the others are to be scored
-        known = isinstance(error, DmbenchError)
-        text = str(error) if known else f"{type(error).__name__}: {error}"
+        text = reason(error)
         if isinstance(error, DatasetMissing) and (here := socket.gethostname()) != job.machine:
             text = (
                 f"on the machine {shown(here)}: {text.rstrip('.')}. All machines must see the workspace and its data "

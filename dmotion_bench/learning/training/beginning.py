@@ -18,7 +18,10 @@ _MOST_NAMED: Final = 5
 
 
 def finished_result(
-    run: Run, note: Callable[[str], None] = lambda _: None, warn: Callable[[str], None] = lambda _: None
+    run: Run,
+    note: Callable[[str], None] = lambda _: None,
+    warn: Callable[[str], None] = lambda _: None,
+    ready: Callable[[], None] = lambda: None,
 ) -> dict[str, Any] | None:
     """The result of a run that is trained already; None if it is to be trained.
 
@@ -29,6 +32,8 @@ def finished_result(
     Args:
         run: Its folder may be changed.
         note, warn: Told in a sentence what was found; and that the model's code was changed since.
+        ready: Asked before the training of another run is taken over; raises what speaks against it, such as labels
+            that are not there.
 
     Raises:
         FolderInUse: Another training of the run is going on.
@@ -45,7 +50,7 @@ def finished_result(
             note(f"{run.path} is already trained; here is its result.")
             tell_changes(run, warn)
             return run.result
-    if (source := take_over(run)) is not None:
+    if (source := take_over(run, ready)) is not None:
         note(f"using the training of {source.path}, which differs only in its labels and what it does with them.")
         tell_changes(source, warn)
     elif run.last.exists():

@@ -34,10 +34,18 @@ from dmotion_bench.errors import (
 )
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.execution.refusals import reason
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
+from dmotion_bench.learning.runs.start import (
+    TrainingRequest,
+    default_path,
+    open_run,
+    require_labels,
+    resolve,
+    training_data,
+)
 from dmotion_bench.learning.training.beginning import finished_result, is_finished, tell_changes, tell_machine
 from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.state import StepReport
@@ -142,8 +150,7 @@ def train_table(
         except FolderInUse:
             yield Outcome(row=row, run=run, error="being trained by another process.", busy=True)
         except Exception as error:  # a stranger's model may raise anything; the others are to be trained
-            told = isinstance(error, DmbenchError)
-            yield Outcome(row=row, run=run, error=str(error) if told else f"{type(error).__name__}: {error}")
+            yield Outcome(row=row, run=run, error=reason(error))
         else:
             yield Outcome(row=row, run=run)
 
@@ -249,7 +256,7 @@ def _rows_trained(job: TableJob, around: Callable[[Run], AbstractContextManager[
 
     def complete(run: Run) -> None:
         warn = warnings[run.path].append
-        if finished_result(run, warn=warn) is None:
+        if finished_result(run, ready=lambda: require_labels(run, dataset, job.loaders), warn=warn) is None:
             tell_machine(job.versions, warn)
             fabric = launch(job.device)
             with around(run):

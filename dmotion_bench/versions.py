@@ -25,6 +25,12 @@ def versions(packages: tuple[str, ...] = PACKAGES) -> dict[str, str]:
     return found
 
 
+def deciding_versions() -> dict[str, str]:
+    """The versions of the packages that a training computes with."""
+    here = versions(DECIDING)
+    return {name: here[name] for name in DECIDING if name in here}
+
+
 def with_earlier(earlier: Mapping[str, str], now: Mapping[str, str]) -> dict[str, str]:
     """The versions of something that was begun with some and goes on with others: ``"2.4.5, 2.4.6"``.
 
@@ -39,16 +45,22 @@ def with_earlier(earlier: Mapping[str, str], now: Mapping[str, str]) -> dict[str
     return found
 
 
+def differing(stated: Mapping[str, str]) -> tuple[str, str] | None:
+    """The packages of which this machine has another version, in words as it has them and as they are stated."""
+    here = versions(tuple(stated))
+    names = [name for name in stated if here.get(name, stated[name]) != stated[name]]
+    found, wanted = (" and ".join(f"{name} {of[name]}" for name in names) for of in (here, stated))
+    return (found, wanted) if names else None
+
+
 def require_same(stated: Mapping[str, str]) -> None:
     """Check that this machine has the versions that a data set is to state; packages that it lacks do not count.
 
     Raises:
         DatasetError: It has others; names them and the machine.
     """
-    here = versions(tuple(stated))
-    differing = [name for name in stated if here.get(name, stated[name]) != stated[name]]
-    if differing:
-        found, wanted = (" and ".join(f"{name} {of[name]}" for name in differing) for of in (here, stated))
+    if (other := differing(stated)) is not None:
+        found, wanted = other
         raise DatasetError(
             f"the machine {shown(platform.node())} has {found}, and the data set is made with {wanted}; install the "
             "same versions on all machines and run the same command again: it goes on where it stopped."

@@ -6,6 +6,7 @@ import math
 import os
 import re
 import shlex
+from collections.abc import Callable
 from typing import Final
 
 VALUE_LIMIT: Final = 120
@@ -59,6 +60,21 @@ def rounded(value: float | None) -> str:
         return "0"
     exponent = int(f"{value:.2e}".partition("e")[2])
     return f"{value:,.{max(0, 2 - exponent)}f}"
+
+
+def from_to(
+    low: float | None, high: float | None, *, number: Callable[[float], str] = rounded, to: str = " to "
+) -> str:
+    """An interval as text: ``0.12 to 0.34``, or ``0.12 or more`` where its upper end is infinite.
+
+    Args:
+        low, high: Its ends; None of an interval that does not exist, whose text is empty.
+        number: Writes one of them.
+        to: Stands between them.
+    """
+    if low is None or high is None:
+        return ""
+    return f"{number(low)} or more" if high == math.inf else f"{number(low)}{to}{number(high)}"
 
 
 def duration(seconds: float) -> str:

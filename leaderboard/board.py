@@ -22,6 +22,7 @@ from typing import Any, Final
 from dmotion_bench.planning.columns import HEADLINE
 from dmotion_bench.registry import environment_title, environment_versions
 from dmotion_bench.scoring.report import CONTRACT
+from dmotion_bench.specs import DatasetRecipe
 from leaderboard.agreement import Agreement, agreements
 from leaderboard.column_table import ORACLE, ColumnTable, column_table, rows_of_column
 from leaderboard.columns import TRUE_MOTION
@@ -32,7 +33,7 @@ from leaderboard.entry import USUAL_PRECISION, Entry
 from leaderboard.ranking import ranked
 from leaderboard.row import Row
 from leaderboard.run_names import settings_of, training_of, unusual_settings
-from leaderboard.usual import OTHER_FRAMES, RANKED_BY, Usual, most_common, planner_of, shared_figures
+from leaderboard.usual import OTHER_FRAMES, RANKED_BY, Usual, most_common, planner_of, shared_figures, to_tell_apart
 from leaderboard.value import Value, values_of
 
 OTHER_PLANNER: Final = "another planner"
@@ -59,9 +60,11 @@ class Board:
         made_by: Which other version of scoring, or of the control by columns, made its figures, in words; empty of this
             dmbench's. What two versions made stands on two boards.
         dataset, fingerprint: Of the data set; empty where only published results are known.
+        recipe: Of the data set; None where it is not known.
         recording: The command that records the data set; empty where it is not known, or was no recording.
         split, protocol: Which episodes, and how triplets were split.
         triplets: Single steps that were scored; None where nothing was.
+        sequences: Action sequences that the gain captured compares; None where that is not known.
         rows: The best first, then the published rows and the references where their error puts them.
         control: The table of control by columns; None where nothing was scored for it.
         agreement: How well the gain captured agrees with other figures.
@@ -71,11 +74,13 @@ class Board:
     version: int = 1
     dataset: str = ""
     fingerprint: str = ""
+    recipe: DatasetRecipe | None = None
     recording: str = ""
     split: str = ""
     protocol: str = ""
     made_by: str = ""
     triplets: int | None = None
+    sequences: int | None = None
     rows: tuple[Row, ...]
     control: ColumnTable | None = None
     agreement: tuple[Agreement, ...] = ()
@@ -192,11 +197,13 @@ def _board(
         version=every[0].version,
         dataset=dataset,
         fingerprint=fingerprint,
+        recipe=next((recipe for entry in every if (recipe := entry.recipe) is not None), None),
         recording=next((shlex.join(words) for entry in every if (words := entry.record_words())), ""),
         split=split,
         protocol=protocol,
         made_by=made_by,
         triplets=None if triplets is None else int(triplets),
+        sequences=usual.sequences,
         rows=_sorted(rows),
         control=control,
         agreement=agreements(measured, tables),
@@ -261,12 +268,13 @@ def _measured_row(entries: Sequence[Entry], odd: str, usual: Usual) -> Row:
 def _told_apart(rows: list[Row]) -> list[Row]:
     """Give rows what is unusual about them, and those of the same model, architecture and budget different names.
 
-    Both are taken from their runs' names.
+    Both are taken from their runs' names. Where these do not tell rows apart, the one with most trainings keeps its
+    name.
     """
-    alone = [_beyond(row, unusual_settings) for row in rows]
-    apart = _where_alike(rows, alone, [_beyond(row, _settings_or_name) for row in rows])
-    apart = _where_alike(apart, apart, [_beyond(row, settings_of) for row in rows])
-    return _where_alike(apart, apart, [_by_weights(row) for row in apart])
+    counts = Counter(map(_called, rows))
+    told = [_beyond(row, _settings_or_name if counts[_called(row)] > 1 else unusual_settings) for row in rows]
+    told = _where_alike(told, [_beyond(row, settings_of) for row in rows])
+    return _where_alike(told, [_by_weights(row) for row in told])
 
 
 def _settings_or_name(entry: Entry) -> str:
@@ -275,11 +283,14 @@ def _settings_or_name(entry: Entry) -> str:
     return settings_of(entry) if unusual is None else unusual
 
 
-def _where_alike(of: list[Row], rows: list[Row], instead: list[Row]) -> list[Row]:
-    """``rows``, and the others in the place of those whose row of ``of`` shares its model, variant and budget."""
-    names = [(row.model, row.variant, row.labels) for row in of]
-    counts = Counter(names)
-    return [other if counts[name] > 1 else row for row, other, name in zip(rows, instead, names, strict=True)]
+def _called(row: Row) -> tuple[str, str, str]:
+    return row.model, row.variant, row.labels
+
+
+def _where_alike(rows: list[Row], instead: list[Row]) -> list[Row]:
+    """The rows, and the others in the place of those that have to be told from a row of the same name."""
+    apart = to_tell_apart([*map(_called, rows)], [row.seeds for row in rows])
+    return [other if told else row for row, other, told in zip(rows, instead, apart, strict=True)]
 
 
 def _by_weights(row: Row) -> Row:

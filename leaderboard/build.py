@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 from dmotion_bench.errors import DatasetError, DmbenchError, EntryInvalid, RunError, UsageError
+from dmotion_bench.learning.runs.own_data import find_own_data
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.references import published_results
 from dmotion_bench.scoring.report import PROTOCOL, REPORT_FILE, REPORT_FOLDER, TRANSFERS, Report
@@ -28,6 +29,7 @@ from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.json_file import read_json
 from dmotion_bench.storage.links import require_within
 from dmotion_bench.wording import command, shown
+from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST
 from leaderboard.action_texts import actions_of
 from leaderboard.comparison import as_in_an_entry, scored, sums_by_episode
 from leaderboard.entry import FORMAT, Entry, published_entry, schema_text
@@ -83,10 +85,10 @@ def build(
 
     Raises:
         EntryInvalid: A given entry is none.
-        UsageError: The folder holds a page of another kind, or what is written into it would be written elsewhere.
+        UsageError: The folder holds a page of another kind, data sets or runs, or what is written into it would be
+            written elsewhere.
     """
-    if (out / PAGE).exists() and not (out / SCHEMA).exists():
-        raise UsageError(f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'.")
+    _require_place(out)
     for inner in (out / ENTRIES, out / ENTRIES / REFERENCES):
         require_within(inner, out, "leaderboard", UsageError)
     found: dict[str, Entry] = {}
@@ -127,6 +129,26 @@ def build(
         left_out=left_out,
         doubtful=tuple(doubtful),
     )
+
+
+def _require_place(out: Path) -> None:
+    """Refuse a folder that holds no leaderboard and something else that a page may not stand beside.
+
+    Raises:
+        UsageError: It holds a page of another kind, or data sets or runs.
+    """
+    if (out / PAGE).exists():
+        if not (out / SCHEMA).exists():
+            raise UsageError(
+                f"{shown(str(out / PAGE))} is no leaderboard's page; name another folder with '--out DIR'."
+            )
+        return
+    for kind, manifest in (("a data set", DATASET_MANIFEST), ("a run", RUN_MANIFEST)):
+        if (held := next((one for at in (manifest, f"*/{manifest}") for one in out.glob(at)), None)) is not None:
+            raise UsageError(
+                f"{shown(str(out))} holds {kind} and no leaderboard ({shown(str(held))}); name another folder with "
+                "'--out DIR'."
+            )
 
 
 def _remove_outdated(folder: Path, entries: Sequence[Entry], own: Sequence[Entry]) -> list[str]:
@@ -225,7 +247,8 @@ def _dataset(run: Run, report: Report) -> Dataset | None:
     try:
         own = run.dataset_path
         path = own if report.trained_on is None else own.parent / Path(report.dataset["name"]).name
-        dataset = Dataset.open(path)
+        workspace = run.path.absolute().parent.parent
+        dataset = Dataset.open(find_own_data([path], [workspace], report.dataset["fingerprint"]) or path)
     except (DatasetError, RunError):
         return None
     return dataset if dataset.fingerprint == report.dataset["fingerprint"] else None

@@ -12,8 +12,9 @@ In this order:
    labels that the budget gives on the data set of the training;
 6. the pictures, predicted anew.
 
-What cannot be shown so: that the training used the seed and the labels that it says, how long it took, and which
-packages were installed. That takes training again; a run is reproducible from its ``run.json`` and its data set.
+What cannot be shown so: that the weights are what the training made, and no copy that was changed a little; that the
+training used the seed and the labels that it says, how long it took, and which packages were installed. That takes
+training again; a run is reproducible from its ``run.json`` and its data set.
 """
 
 from __future__ import annotations
@@ -180,6 +181,9 @@ def _score_anew(
 ) -> None:
     said = check.entry.content["settings"]
     others = {CONTROL} if said.get(f"{GAIN}_version", GAIN_VERSION) == GAIN_VERSION else {CONTROL, GAIN}
+    if not run.model.needs_pixels and not any(name.startswith("rollout_") for name in check.entry.figures):
+        others.add("rollout")
+        check.remarks.append("figures: the entry has no ranks of states, which came later for a model without frames")
     metrics = tuple(name for name in METRICS if name in said["metrics"] and name not in others)
     scores = score_model(run.model, dataset, metrics=metrics, settings=asked, how=how, shared=shared)
     same_scores(check, scores, metrics)

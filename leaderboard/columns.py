@@ -7,7 +7,8 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from dmotion_bench.wording import rounded
+from dmotion_bench.wording import from_to, rounded
+from leaderboard.comparison import GAIN_CAPTURED
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,6 +77,19 @@ UNWANTED: Final = {
 }
 """What a latent action should not hold (``scoring/true_factors.py``), in words; a sentence puts "the" before them."""
 
+
+def _gain_captured(sequences: int | None = None) -> Column:
+    """The gain captured, where so many sequences are compared at each moment."""
+    compared = "many" if sequences is None else f"{sequences:,}"
+    return Column(
+        figure=GAIN_CAPTURED,
+        heading="Gain captured",
+        meaning=f"Of what the best of {compared} action sequences truly brings, "
+        "the share that the model's favourite brings.",
+        higher=True,
+    )
+
+
 _AFTER: Final = (
     Column(
         figure="agent_iou",
@@ -111,12 +125,7 @@ _AFTER: Final = (
         )
         for place, words in (("agent_place", "agent's place"), ("object_place", "objects' places"))
     ),
-    Column(
-        figure="planning_gain",
-        heading="Gain captured",
-        meaning="Of what the best of 64 action sequences truly brings, the share that the model's favourite brings.",
-        higher=True,
-    ),
+    _gain_captured(),
     Column(
         figure="motion_probe_error",
         heading="Probe error",
@@ -138,12 +147,18 @@ ROLLOUT_STEPS: Final = (5, 15)
 CONTROL_STEPS: Final = (10, 40, 100)
 
 
-def columns_for(figures: Collection[str]) -> list[Column]:
-    """The columns of a table of predictions that have at least one of these figures."""
+def columns_for(figures: Collection[str], sequences: int | None = None) -> list[Column]:
+    """The columns of a table of predictions that have at least one of these figures.
+
+    Args:
+        figures: By their fixed names.
+        sequences: Action sequences that the gain captured compares at each moment, where that is known.
+    """
     chosen = [column for column in _SINGLE if column.figure in figures]
     chosen += [TRUE_MOTION] if TRUE_MOTION.figure in figures and "mse" not in figures else []
     chosen += [column for column in _rollouts(figures) if column.figure in figures]
-    return chosen + [column for column in _AFTER if column.figure in figures]
+    after = [_gain_captured(sequences) if column.figure == GAIN_CAPTURED else column for column in _AFTER]
+    return chosen + [column for column in after if column.figure in figures]
 
 
 def control_steps(figures: Iterable[str]) -> list[int]:
@@ -186,9 +201,7 @@ def number(value: float | int | None) -> str:
 
 def interval(low: float | None, high: float | None, *, sign: bool = False) -> str:
     """An interval as text; empty if there is none."""
-    if low is None or high is None:
-        return ""
-    return " to ".join(map(signed if sign else number, (low, high)))
+    return from_to(low, high, number=signed if sign else number)
 
 
 def count(value: float) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from dmotion_bench.wording import rounded
+from dmotion_bench.wording import from_to, rounded
 from leaderboard.value import Value
 
 TO: Final = "\u00a0to\u00a0"
@@ -33,5 +33,8 @@ def of_some(value: Value | None, trainings: int) -> str:
 
 def between(low: float | None, high: float | None) -> str:
     """An interval as text on one line, with two digits for numbers below 10."""
-    bounds = (f"{one:#.2g}" if one is not None and 1e-4 <= abs(one) < 9.95 else rounded(one) for one in (low, high))
-    return TO.join(bounds)
+    return from_to(low, high, number=_short, to=TO)
+
+
+def _short(value: float) -> str:
+    return f"{value:#.2g}" if 1e-4 <= abs(value) < 9.95 else rounded(value)

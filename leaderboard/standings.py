@@ -46,7 +46,7 @@ def standings(board: Board, anchor: str) -> Markup:
 
 
 def _predictions(board: Board, rows: Sequence[Row], anchor: str, caption: str) -> Markup:
-    columns = columns_for({name for row in rows for name in row.figures})
+    columns = columns_for({name for row in rows for name in row.figures}, board.sequences)
     return _table(board, rows, columns, anchor, caption, ranks=RANKED_BY)
 
 

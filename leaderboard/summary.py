@@ -13,6 +13,7 @@ perfect, below 0 is worse than copying. ``tests/leaderboard/rliable_values.py`` 
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
@@ -21,8 +22,11 @@ import numpy as np
 from jaxtyping import Float
 from scipy import stats
 
+from dmotion_bench.errors import DmbenchError
+from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.scoring.label_use import USUAL_USES
 from dmotion_bench.scoring.report import LABEL_USES
+from dmotion_bench.specs import Preset
 from leaderboard.board import Board
 from leaderboard.row import USUAL_BUDGETS, Row
 from leaderboard.usual import RANKED_BY
@@ -74,7 +78,7 @@ class Summary:
     """The models that have results in every world of the summary, the best first.
 
     Attributes:
-        boards: One a world: the board of most models.
+        boards: One a world, that of most models: of those whose data set its usual recipe makes, or else of all.
         standings: The models.
         left_out: The names of models that lack a result with their usual settings in one of these worlds, by this
             version of scoring.
@@ -91,14 +95,15 @@ class Summary:
 
 def summarise(boards: Iterable[Board]) -> Summary | None:
     """The summary of some boards; None where there is nothing to compare across worlds."""
-    best, measured = dict[str, _World](), set[str]()
+    best, places, measured = dict[str, _World](), dict[str, tuple[bool, int]](), set[str]()
     for board in boards:
         measured |= {row.model for row in _comparable_rows(board)}
         if board.made_by:  # scores of two versions are not averaged
             continue
         found = _usual_rows(board)
-        if board.environment not in best or len(found) > len(best[board.environment][1]):
-            best[board.environment] = board, found
+        place = bool(found) and _is_usual(board), len(found)
+        if board.environment not in best or place > places[board.environment]:
+            best[board.environment], places[board.environment] = (board, found), place
     most = max((len(found) for _, found in best.values()), default=0)
     chosen = [one for one in best.values() if len(one[1]) >= max(LEAST_MODELS, most / 2)]
     everywhere = {model for _, found in chosen for model in found if all(model in other for _, other in chosen)}
@@ -119,6 +124,15 @@ def summarise(boards: Iterable[Board]) -> Summary | None:
         too_small=tuple(one[0].title for one in best.values() if one[1] and one not in chosen),
         unusual=tuple(board.title for board, found in best.values() if not found and _comparable_rows(board)),
     )
+
+
+def _is_usual(board: Board) -> bool:
+    """Whether a board's data set says that it is made by the usual recipe of its world, of any size."""
+    for preset in Preset if board.recipe is not None else ():
+        with contextlib.suppress(DmbenchError):  # the world has no such preset, or is not installed
+            if recipe_for(board.environment, preset) == board.recipe:
+                return True
+    return False
 
 
 def _usual_rows(board: Board) -> dict[str, dict[str, Row]]:

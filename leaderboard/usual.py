@@ -7,6 +7,7 @@ another one did.
 
 from __future__ import annotations
 
+import json
 import math
 import statistics
 from collections import defaultdict
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeVar
 
 from dmotion_bench.planning.mpc import CONTROL_VERSION
+from dmotion_bench.scoring.decisive import GAINED
 from dmotion_bench.scoring.gain import GAIN_VERSION
 from leaderboard.comparison import GAIN_CAPTURED
 from leaderboard.control import FIGURES as CONTROLLED
@@ -79,6 +81,13 @@ class Usual:
             frames=most_common((entry, one) for entry in entries if (one := entry.frames.get(RANKED_BY)) is not None),
         )
 
+    @property
+    def sequences(self) -> int | None:
+        """How many action sequences the gain captured compares; None where no entry says so."""
+        told = self.settings.get(GAIN_CAPTURED)
+        found = json.loads(told).get(f"{GAINED}sequences") if told else None
+        return found if isinstance(found, int) else None
+
     def leaves_out(self, entry: Entry) -> bool:
         """Whether an entry's errors are not of the frames that most are of."""
         return self.frames is not None and RANKED_BY in entry.figures and entry.frames.get(RANKED_BY) != self.frames
@@ -116,6 +125,26 @@ def shared_figures(votes: Iterable[tuple[Entry, str, Mapping[str, Any]]]) -> dic
     return {
         name: {figure: _middle([*own.values()]) for figure, own in figures.items()} for name, figures in said.items()
     }
+
+
+def to_tell_apart(names: Sequence[Hashable], trainings: Sequence[int]) -> list[bool]:
+    """Which rows need another name, since others have theirs: all but the one with most trainings, if there is one.
+
+    So a single entry renames no row of several trainings, whose name tables, curves and pages find it by.
+
+    Args:
+        names: What each row is called so far.
+        trainings: How many are behind each.
+    """
+    having: dict[Hashable, list[int]] = defaultdict(list)
+    for name, count in zip(names, trainings, strict=True):
+        having[name].append(count)
+    told = []
+    for name, count in zip(names, trainings, strict=True):
+        counts = having[name]
+        keeps = count == max(counts) and counts.count(count) == 1
+        told.append(not keeps)
+    return told
 
 
 def _middle(said: Sequence[Mapping[str, Any]]) -> Mapping[str, Any]:

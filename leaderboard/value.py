@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from dmotion_bench.figure_intervals import interval_of
 from dmotion_bench.scoring.report import FigureJson
 from leaderboard.comparison import mean_by_episode
 
@@ -48,23 +49,21 @@ def values_of(seeds: Sequence[Mapping[str, Any]], sums: Sequence[Mapping[str, An
         means = [float(figure["mean"]) for figure in own]
         counts = [figure["n"] for figure in own]
         one = len(own) == 1
+        interval = interval_of(name, own[0]) if one else _interval(own, [each[name] for each in sums if name in each])
+        low, high = (interval or (None, None)) if one else (min(means), max(means))
         found[name] = Value(
             mean=sum(means) / len(means),
-            low=own[0]["low"] if one else min(means),
-            high=own[0]["high"] if one else max(means),
+            low=low,
+            high=high,
             std=own[0]["std"] if one else None,
             seeds=len(own),
-            interval=_interval(own, [episodes[name] for episodes in sums if name in episodes]),
+            interval=interval,
             samples=None if None in counts else int(max(counts)),
         )
     return found
 
 
 def _interval(figures: Sequence[FigureJson], sums: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
-    """The interval of a figure: one seed's from its report, that of several seeds from their sums over episodes."""
-    if len(figures) == 1:
-        low, high = figures[0]["low"], figures[0]["high"]
-    else:
-        mean = mean_by_episode(sums) if len(sums) == len(figures) else None
-        low, high = (None, None) if mean is None else (mean.low, mean.high)
-    return None if low is None or high is None else (low, high)
+    """The interval of a figure of several seeds, from their sums over episodes."""
+    mean = mean_by_episode(sums) if len(sums) == len(figures) else None
+    return None if mean is None or mean.low is None or mean.high is None else (mean.low, mean.high)

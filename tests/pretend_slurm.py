@@ -1,4 +1,4 @@
-"""Slurm's four commands as far as submitit speaks to them: jobs are processes of this machine, all at once."""
+"""Slurm's five commands as far as submitit speaks to them: jobs are processes of this machine, all at once."""
 
 from __future__ import annotations
 
@@ -30,6 +30,12 @@ print(f"Submitted batch job {job}")
 """,
     "srun": """
 start = next(place for place, word in enumerate(sys.argv) if word.endswith("python") or "/python" in word)
+job, array = os.environ["SLURM_JOB_ID"], os.environ.get("SLURM_ARRAY_TASK_ID", "")
+for stream, option in ((1, "--output"), (2, "--error")):
+    path = sys.argv[sys.argv.index(option) + 1]
+    for sign, value in (("%A", job), ("%j", job), ("%a", array), ("%t", "0")):
+        path = path.replace(sign, value)
+    os.dup2(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND), stream)
 os.execv(sys.argv[start], sys.argv[start:])
 """,
     "sacct": """
@@ -40,6 +46,12 @@ for task in sorted(state.glob("task-*")):
     except FileNotFoundError:
         gone = True
     print(f"{task.name.removeprefix('task-')}|{'COMPLETED' if gone else 'RUNNING'}|here")
+""",
+    "squeue": """
+for task in sorted(state.glob("task-*")):
+    with contextlib.suppress(FileNotFoundError):
+        if Path(f"/proc/{task.read_text()}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX":
+            print(task.name.removeprefix("task-"))
 """,
     "scancel": """
 for job in sys.argv[1:]:
@@ -54,6 +66,7 @@ def use_slurm(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Put Slurm on the PATH; its disk shows at once what a job wrote, and is not waited for."""
     monkeypatch.setenv("PATH", f"{install_slurm(folder)}{os.pathsep}{os.environ['PATH']}")
     monkeypatch.setitem(slurm_executor._PATIENCE, "slurm", 1.0)
+    monkeypatch.setitem(slurm_executor._ASK_AGAIN, "slurm", 1.0)
 
 
 def install_slurm(folder: Path) -> Path:

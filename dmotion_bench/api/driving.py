@@ -17,6 +17,7 @@ from dmotion_bench.actions import ActionSpec, ActionTaken, Continuous
 from dmotion_bench.environment import Environment
 from dmotion_bench.errors import DmbenchError, LabelsNotAvailable
 from dmotion_bench.learning.driving import Drive
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.tasks import take, task_environment
 from dmotion_bench.specs import IMPORTED
@@ -134,7 +135,7 @@ def open_driven(run: AnyPath | None, episode: int | None, workspace: Workspace) 
     """
     opened = Run.open(workspace.run(run))
     opened.require_aligned()
-    dataset = Dataset.open(opened.dataset_path)
+    dataset = dataset_of(opened, Dataset)
     if dataset.spec.actions is None:
         raise LabelsNotAvailable(f"the actions of {dataset.name!r} are not known, so its models cannot be driven.")
     test = dataset.split("test")

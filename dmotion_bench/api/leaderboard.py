@@ -228,20 +228,25 @@ def leaderboard_compare(
 
     Raises:
         UnknownName, RunMissing: There is no such run, or it was not scored on this data set.
+        UsageError: A run is named on both sides.
         DatasetMissing, DatasetIncomplete, DatasetCorrupt: The data set cannot be opened.
         RunMismatch: They were not scored on the same frames, or all that both have with different settings, or the
             trainings of one model differ in more than their seed.
 
     Example:
-        >>> report = dm.score("tiny", "prediction")
-        >>> differences = dm.leaderboard_compare("tiny", "tiny")
-        >>> differences[0].figure, differences[0].difference.mean, differences[0].verdict
-        ('mse', 0.0, 'unknown: 2 episodes')
+        >>> other = dm.train("dmotion", seed=1, settings={"epochs": 0.1}, out="other")
+        >>> reports = [dm.score(run, "prediction") for run in ("tiny", other)]
+        >>> differences = dm.leaderboard_compare("tiny", other)
+        >>> differences[0].figure, differences[0].verdict
+        ('mse', 'unknown: 2 episodes')
     """
     require_one_of("split", split, ("test", "validation"))
     place = Workspace.current()
     dataset = None if data is None else Dataset.open(place.dataset(data))
     models = [_trainings(place, one) for one in (first, second)]
+    places = [{run.resolve(): run for run in own} for own in models]
+    if both := [run for where, run in places[0].items() if where in places[1]]:
+        raise UsageError(f"{shown(str(both[0]))} is named on both sides; name two models that differ.")
     differences: list[Difference] = leaderboard_part("compare")(*models, dataset, split, warn=warn)
     return differences
 

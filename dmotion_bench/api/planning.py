@@ -20,6 +20,7 @@ from dmotion_bench.execution.job_progress import JobProgress
 from dmotion_bench.learning.action_encoding import as_tensor
 from dmotion_bench.learning.driving import predicted
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES, Agent, known_actions, was_taken
 from dmotion_bench.planning.choices import make_solver
@@ -286,7 +287,8 @@ def open_trial(
     else:
         opened = Run.open(workspace.run(run, REFERENCES))
         opened.require_aligned()
-        dataset, who = Dataset.open(opened.dataset_path if data is None else workspace.dataset(data)), opened.name
+        dataset = dataset_of(opened, Dataset) if data is None else Dataset.open(workspace.dataset(data))
+        who = opened.name
         model = opened.model
     if dataset.recipe.environment == IMPORTED:
         raise UsageError(f"{dataset.name!r} was imported, so there is no environment to plan and act in.")

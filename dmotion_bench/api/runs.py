@@ -14,6 +14,7 @@ from dmotion_bench.api.datasets import Dataset
 from dmotion_bench.errors import DatasetMissing, RunMismatch, RunMissing, UnknownName, UsageError
 from dmotion_bench.learning.images import to_pixels
 from dmotion_bench.learning.runs import run as runs
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.scoring.report import REPORT_FOLDER, Report, read_report
 from dmotion_bench.specs import Supervision
 from dmotion_bench.wording import command
@@ -43,7 +44,7 @@ class Run(runs.Run):
             DatasetMissing: It is not there any more.
             RunMismatch: Another one is there now.
         """
-        found = Dataset.open(self.dataset_path)
+        found = dataset_of(self, Dataset)
         if found.fingerprint != self.spec.fingerprint:
             raise RunMismatch(
                 f"the data set {str(self.dataset_path)!r} has changed since the run {self.name!r} was trained on it; "

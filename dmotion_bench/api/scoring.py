@@ -12,9 +12,10 @@ import torch
 
 from dmotion_bench.api.progress import Progress, telling
 from dmotion_bench.api.settings import DEVICES, Settings, as_texts, require_one_of, whole
-from dmotion_bench.errors import DmbenchError, RunMismatch, StorageFull, UnknownName, UsageError
+from dmotion_bench.errors import RunMismatch, StorageFull, UnknownName, UsageError
 from dmotion_bench.execution.available import available_workers
 from dmotion_bench.execution.job_progress import JobProgress
+from dmotion_bench.execution.refusals import reason
 from dmotion_bench.learning.hardware.threads import scoring_shortage
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES
@@ -215,7 +216,7 @@ def score_runs(
                 if keep and data is not None and isinstance(error, RunMismatch):
                     warn(f"left out: {error}")
                     continue
-                failures[path] = str(error) if isinstance(error, DmbenchError) else repr(error)
+                failures[path] = reason(error)
                 note(f"{names[path]}: {failures[path]}")
     return reports, failures
 

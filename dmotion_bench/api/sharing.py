@@ -28,7 +28,7 @@ from dmotion_bench.sharing.pull import Pulled, pull_dataset, pull_run
 from dmotion_bench.sharing.push import Pushed, push_dataset, push_run
 from dmotion_bench.sharing.wanted import Wanted, entry_files, wanted_by
 from dmotion_bench.storage.dataset import Dataset
-from dmotion_bench.storage.manifest import Manifest
+from dmotion_bench.storage.manifest import fingerprint_at
 from dmotion_bench.storage.shard import file_facts
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import (
@@ -288,7 +288,7 @@ def _of_entry(path: Path, wanted: Wanted, workspace: Workspace) -> _Sources:
             f"{wanted.samples[:12]} that {shown(path.name)} names; score the run again with 'dmbench score', or go to "
             "its workspace."
         )
-    known = {_fingerprint(one): one for one in workspace.datasets()}
+    known = {fingerprint_at(one): one for one in workspace.datasets()}
     missing = [name for fingerprint, name in wanted.datasets.items() if fingerprint not in known]
     if missing:
         raise DatasetMissing(
@@ -307,10 +307,3 @@ def _is_run(path: Path, wanted: Wanted) -> bool:
         return False
     found = (one for one in (path / REPORT_FOLDER).rglob(SAMPLES_FILE) if one.is_file())  # a pipe would be waited for
     return any(file_facts(one).sha256 == wanted.samples for one in found)
-
-
-def _fingerprint(path: Path) -> str:
-    try:
-        return Manifest.read(path).fingerprint
-    except DmbenchError:
-        return ""

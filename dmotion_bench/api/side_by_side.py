@@ -20,13 +20,12 @@ from dmotion_bench.api.progress import Progress
 from dmotion_bench.api.scoring import changed_code, compute_device, names_apart, score_references
 from dmotion_bench.errors import RunError
 from dmotion_bench.execution.available import available_workers
-from dmotion_bench.execution.executor import JobSize
+from dmotion_bench.execution.executor import Executor, JobSize
 from dmotion_bench.execution.executors import make_executor
 from dmotion_bench.execution.job_progress import JobProgress, jobs_folder, watching
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest, resolve
-from dmotion_bench.learning.training.beginning import tell_changes
+from dmotion_bench.learning.runs.start import TrainingRequest, require_enough, resolve
 from dmotion_bench.learning.training.table import Outcome, Row, job_of, rows, train_side_by_side, train_table
 from dmotion_bench.scoring.control import ControlScoring
 from dmotion_bench.scoring.figures import Figures
@@ -35,7 +34,13 @@ from dmotion_bench.scoring.reference_job import reference_jobs, score_reference_
 from dmotion_bench.scoring.report import Report
 from dmotion_bench.scoring.score import scored_report
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
-from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_side_by_side
+from dmotion_bench.scoring.side_by_side import (
+    ScoreJob,
+    ScoreOutcome,
+    control_shares,
+    score_side_by_side,
+    settled_already,
+)
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
@@ -113,7 +118,7 @@ class Hands:
 
 def table_rows(dataset: Dataset, seeds: Sequence[int] | None = None) -> list[Row]:
     """Every model with each of its label budgets on a data set, with each seed, or with that of the request."""
-    return list(rows(dataset, (None,) if seeds is None else tuple(dict.fromkeys(seeds))))
+    return list(rows(dataset, (None,) if seeds is None else tuple(seeds)))
 
 
 def seed_rows(request: TrainingRequest, dataset: Dataset, seeds: Sequence[int]) -> list[Row]:
@@ -122,8 +127,9 @@ def seed_rows(request: TrainingRequest, dataset: Dataset, seeds: Sequence[int]) 
     Raises:
         UnknownName, InvalidSetting, UsageError: The request asks for what cannot be trained.
     """
+    require_enough(request, dataset)
     resolve(request, dataset)
-    return [Row(model=request.model, labels=request.labels or "", seed=seed) for seed in dict.fromkeys(seeds)]
+    return [Row(model=request.model, labels=request.labels or "", seed=seed) for seed in seeds]
 
 
 def train_every(
@@ -152,7 +158,7 @@ def train_every(
         train: Trains one run to its end, where this process does it.
         trackers: That are told the curves, where others do it.
         warn: Told in a sentence, where others do it, of a model that breaks its contract before its trainings begin,
-            and of a run whose model was changed since it began.
+            and of what those were warned of: code or packages that changed since a run began, or that differ there.
         loaders: Threads that read the compressed files of a run that streams them, where others do it.
 
     Yields:
@@ -173,8 +179,8 @@ def train_every(
     at_once = _trained_at_once(request, chosen, dataset, workspace, hands, jobs, trackers, loaders)
     with contextlib.closing(at_once) as outcomes:
         for outcome in outcomes:
-            if outcome.run is not None:
-                tell_changes(outcome.run, warn)
+            for told in outcome.warnings:
+                warn(told)
             yield with_breach(outcome, breaches)
 
 
@@ -305,12 +311,22 @@ def score_at_once(
     for told in dict.fromkeys(filter(None, map(_changed_code_at, paths))):
         warn(told)
     own, names = {job.run: path for job, path in zip(jobs, paths, strict=True)}, names_apart(paths)
+    settled = {job.run: outcome for job in jobs if (outcome := settled_already(job)) is not None}
+    left = [job for job in jobs if job.run not in settled]
+
+    def outcomes_by(executor: Executor, progress: Path) -> Generator[ScoreOutcome]:
+        yield from settled.values()
+        if left:
+            yield from score_side_by_side(left, executor, progress=progress)
+
+    if settled and hands.on_cluster:
+        note(f"{len(settled)} of {len(jobs)} runs need no scoring, so no jobs are sent for them.")
     reports: dict[Path, Report] = {}
     failures: dict[Path, str] = {}
     with jobs_folder(workspace) as folder:
-        executor = make_executor(name, hands.at_once(_pieces(jobs)), scratch=folder / name, size=hands.job_size())
+        executor = make_executor(name, hands.at_once(_pieces(left)), scratch=folder / name, size=hands.job_size())
         hands.count(0, len(jobs))
-        outcomes = score_side_by_side(jobs, executor, progress=folder)
+        outcomes = outcomes_by(executor, folder)
         with watching(folder, hands.watch), contextlib.closing(outcomes):
             for done, outcome in enumerate(outcomes, start=1):
                 hands.count(done, len(jobs))

@@ -40,7 +40,7 @@ class Watch:
     Attributes:
         count: Told of each part how much of how much is done.
         jobs: Told how far those jobs are that run, by their names.
-        note: Told in a sentence what failed.
+        note: Told in a sentence what failed, and what those who train are warned of.
     """
 
     count: Callable[[str, int, int], None] = field(default=_nobody)
@@ -211,6 +211,8 @@ class TableWork:
         )
 
     def _note_outcome(self, outcome: Outcome) -> None:
+        for told in outcome.warnings:
+            self.watch.note(told)
         if outcome.error is not None:
             run = "" if outcome.run is None else f", {outcome.run.name}"
             self._note_failure(f"training {outcome.row.model} with {outcome.row.labels}{run}", outcome.error)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
@@ -35,6 +36,8 @@ from dmotion_bench.learning.runs.start import (
     default_path,
     open_run,
     prepare_frames,
+    require_enough,
+    require_labels,
     resolve,
     training_data,
 )
@@ -170,9 +173,11 @@ def begin(
 
     Raises:
         RunMissing: There is nothing to resume.
-        UsageError: The folder holds something else.
+        UsageError: The folder holds something else, or the budget asks for more labels than there are.
+        LabelsNotAvailable: The budget asks for labels, and the actions of the data set are not known.
         RunMismatch: It holds another run.
     """
+    require_enough(request, dataset)
     with explaining_settings(request.model):
         folder = out or default_path(request, resolve(request, dataset), workspace)
     if resume and not (folder / RUN_MANIFEST).exists():
@@ -215,20 +220,20 @@ def complete(
     Raises:
         ModelContractBroken: The training failed, and the model breaks the contract; that alone is a warning.
     """
-    mine = place()
+    mine, ready = place(), partial(require_labels, run, dataset, loaders)
     fabric: Fabric | None = None
     if mine.world > 1:
         fabric = launch(device)
         companions = Companions(fabric)
         with companions.noticing_losses():
             finished, run.manifest, run.threads = companions.of_first(
-                lambda: (finished_result(run, note, warn), run.manifest, run.threads)
+                lambda: (finished_result(run, note, warn, ready), run.manifest, run.threads)
             )
             if finished is None and mine.local_rank == 0:
                 prepare_frames(run, dataset)
             companions.gathered(mine.rank)
     else:
-        finished = finished_result(run, note, warn)
+        finished = finished_result(run, note, warn, ready)
     if finished is not None:
         return finished
     breach = breach_before(run)

@@ -11,6 +11,7 @@ from typing import Final, Self, SupportsIndex
 
 from dmotion_bench.api.settings import SPLITS, require_one_of, whole
 from dmotion_bench.errors import DmbenchError, UsageError
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.learning.runs.run import Run, require_own_files
 from dmotion_bench.scoring.report import REPORT_FOLDER, read_report
 from dmotion_bench.scoring.transfer import fitting, report_folder
@@ -356,7 +357,7 @@ def _chosen(
     runs = [Run.open(path) for path in paths]
     if len(runs) > 1:
         runs = comparable(runs)
-    dataset = Dataset.open(data or runs[0].dataset_path)
+    dataset = dataset_of(runs[0], Dataset) if data is None else Dataset.open(data)
     if data is not None:
         dataset = fitting(runs[0], dataset)
     told: dict[int, str] = {}

@@ -7,7 +7,6 @@ by Ctrl-C, 143 by SIGTERM, 129 by a closed terminal.
 from __future__ import annotations
 
 import contextlib
-import errno
 import importlib
 import logging
 import os
@@ -19,10 +18,11 @@ from typing import NoReturn
 import typer
 
 from dmotion_bench import __version__
+from dmotion_bench.cli.misuse import Misuse, is_help, told
 from dmotion_bench.errors import DmbenchError, Interrupted, ProcessLost, UsageError
-from dmotion_bench.execution.processes import LOST, NO_ROOM, is_led
+from dmotion_bench.execution.processes import LOST, is_led
+from dmotion_bench.execution.refusals import refused
 from dmotion_bench.interrupts import INTERRUPTED, exit_code, received
-from dmotion_bench.storage.atomic import FULL
 from dmotion_bench.storage.limits import LONGEST_TEXT
 from dmotion_bench.wording import sentence, shown
 from dmotion_bench.workspace import CACHE_VARIABLE
@@ -56,10 +56,6 @@ COMMANDS = (
 """Modules of this package, in the order of ``dmbench --help``; each has ``register(app)``."""
 
 
-_DENIED = (errno.EACCES, errno.EPERM, errno.EROFS)
-_GONE = (errno.ENOENT, errno.ESTALE)
-
-
 def _version(value: bool) -> None:
     if value:
         typer.echo(f"dmbench {__version__}")
@@ -89,7 +85,14 @@ def main() -> None:
         _require_text()
         with _log_on_stderr():
             register_commands()
-            app(prog_name="dmbench", standalone_mode=True)
+            sys.exit(app(prog_name="dmbench", standalone_mode=False) or 0)
+    except Misuse as error:
+        if is_help(error):
+            error.show()
+            raise SystemExit(error.exit_code) from None
+        _fail(told(error), error.exit_code)
+    except typer.Abort:  # what Typer makes of an EOFError
+        _fail("aborted.", 1)
     except UsageError as error:
         _fail(str(error), 2)
     except ProcessLost as error:
@@ -99,14 +102,14 @@ def main() -> None:
     except DmbenchError as error:
         _fail(str(error), 1)
     except (MemoryError, RuntimeError) as error:
-        if (told := _out_of_memory(error)) is None:
+        if (said := _out_of_memory(error)) is None:
             raise
-        _fail(told, 1)
+        _fail(said, 1)
     except BrokenPipeError:
         sys.stderr.close()
         raise SystemExit(1) from None
     except OSError as error:
-        _fail(_refused(error), 1)
+        _fail(refused(error), 1)
     except KeyboardInterrupt:
         _fail("" if is_led() else INTERRUPTED, exit_code())
     except SystemExit as leaving:
@@ -177,22 +180,3 @@ def _log_on_stderr() -> Iterator[None]:
         yield
     finally:
         log.removeHandler(handler)
-
-
-def _refused(error: OSError) -> str:
-    """What the operating system would not do, in a sentence."""
-    what, why = shown(error.filename) if error.filename is not None else "a file", error.strerror or error
-    if error.errno in FULL:
-        return (
-            f"no space left on the device while writing {what}; free some and run the same command again: "
-            "it goes on where it stopped."
-        )
-    if error.errno in NO_ROOM:
-        return (
-            f"this machine has no memory or no process left ({why}); end other programs and run the same command again."
-        )
-    if error.errno in _DENIED:
-        return f"may not write or read {what}: {why}."
-    if error.errno in _GONE:
-        return f"{what} is not there, or was deleted meanwhile; run the same command again, or name another path."
-    return f"cannot write or read {what}: {why}; name another path."

@@ -85,7 +85,7 @@ def _presets(recording: Mapping[Preset, RecordingPreset]) -> str:
 @listing.command()
 def models(as_json: AsJson = False) -> None:
     """List the models that can be trained."""
-    from dmotion_bench.errors import DmbenchError
+    from dmotion_bench.execution.refusals import reason
     from dmotion_bench.registry import model_names
 
     rows: list[dict[str, object]] = []
@@ -93,8 +93,7 @@ def models(as_json: AsJson = False) -> None:
         try:
             values = _model(name)
         except Exception as error:  # somebody else's model; the others are to be listed
-            told = str(error) if isinstance(error, DmbenchError) else f"{type(error).__name__}: {error}"
-            values = ("?", "?", "?", f"cannot be used: {told}")
+            values = ("?", "?", "?", f"cannot be used: {reason(error)}")
         rows.append(
             dict(zip(("model", "learns from", "parameters", "architectures", "paper"), (name, *values), strict=True))
         )

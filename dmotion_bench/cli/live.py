@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dmotion_bench.cli.stdout import say
+from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -78,6 +79,14 @@ def following(make: Callable[[], Follower], live: bool, to: Path | None) -> Iter
 
         yield poll
         follower.poll(shown.recording)
+    if to is not None:
+        say_written(to)
+
+
+def say_written(file: Path) -> None:
+    """Print a Rerun file's path, and how to open it."""
+    say(f"{file}")
+    say(f"Open it with {command('dmbench view', file)} or {command('rerun', file)}.")
 
 
 @contextlib.contextmanager

@@ -109,7 +109,7 @@ def numbers(option: str, text: str | None) -> list[int] | None:
     """The whole numbers of a list with commas.
 
     Raises:
-        UsageError: One is none, or none is there.
+        UsageError: One is none or is there twice, or none is there.
     """
     from dmotion_bench.errors import UsageError
     from dmotion_bench.wording import shown
@@ -119,4 +119,7 @@ def numbers(option: str, text: str | None) -> list[int] | None:
     wrong = next((part for part in parts if not (part.isascii() and part.isdecimal() and len(part) < 16)), None)
     if wrong is not None or not parts:
         raise UsageError(f"{option} holds {shown(wrong) if parts else 'nothing'}; give whole numbers, such as 0,1,2.")
-    return list(map(int, parts))
+    found = list(map(int, parts))
+    if (twice := next((number for place, number in enumerate(found) if number in found[:place]), None)) is not None:
+        raise UsageError(f"{option} names {twice} twice; name each number once.")
+    return found

@@ -8,8 +8,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from dmotion_bench.cli.tables import show_figures, stdout_console
+from dmotion_bench.figure_intervals import interval_words, mean_and_spread
 from dmotion_bench.figure_words import figure_words
-from dmotion_bench.wording import printable, rounded
+from dmotion_bench.wording import from_to, printable, rounded
 
 if TYPE_CHECKING:
     from dmotion_bench.scoring.report import FigureJson, Report
@@ -45,9 +46,9 @@ def show_report(report: Report, run: Path) -> None:
     rows: list[tuple[str, ...]] = []
     for name in _shown(report.figures):
         figure = report.figures[name]
-        others = [_mean_std(report.reference[other].get(name), short=other != "paper") for other in beside]
+        others = [_mean_std(name, report.reference[other].get(name), short=other != "paper") for other in beside]
         counts = [_count(figure.get(name)) for name in ("n", "episodes")]
-        rows.append((figure_words(name), _mean_std(figure), _interval(figure), *counts, *others))
+        rows.append((figure_words(name), _mean_std(name, figure), interval_words(name, figure), *counts, *others))
     headings = ("figure", "mean ± std", "95% interval", "n", "episodes", *map(_plain, beside))
     show_figures(_headline(report), headings, rows)
     _show_probes(report)
@@ -115,7 +116,7 @@ def show_control(figures: Mapping[str, Mapping[str, FigureJson]], title: str) ->
     for figure in everything:
         if figure in shown or figure == everything[-1]:
             pairs = [
-                (_mean_std(one[figure]), _interval(one[figure])) if figure in one else ("", "")
+                (_mean_std(figure, one[figure]), interval_words(figure, one[figure])) if figure in one else ("", "")
                 for one in figures.values()
             ]
             rows.append((figure_words(figure), *(cell for pair in pairs for cell in pair)))
@@ -182,7 +183,7 @@ def _behind(paths: Sequence[Path], reports: Sequence[Report]) -> dict[Path, str]
     for path in paths[1:]:
         difference = behind(samples[path], samples[paths[0]]) if path in samples else None
         if difference is not None:
-            above, between = f"+{rounded(difference.mean)}", _interval(difference.to_json())
+            above, between = f"+{rounded(difference.mean)}", from_to(difference.low, difference.high)
             told[path] = standing_words(difference, above, between)
     return told
 
@@ -202,8 +203,9 @@ def show_differences(
     shown = set(_shown([one.figure for one in differences]))
     for one in differences:
         if everything or one.figure in shown:
-            estimate = one.difference.to_json()
-            values = (rounded(one.first), rounded(one.second), rounded(estimate["mean"]), _interval(estimate))
+            apart = one.difference
+            between = from_to(apart.low, apart.high)
+            values = (rounded(one.first), rounded(one.second), rounded(apart.mean), between)
             rows.append((figure_words(one.figure), *values, one.verdict))
     headings = ("figure", "first", "second", "first - second", "95% interval", "better")
     show_figures(f"{first} against {second}, on the same held-out frames; intervals over {over}", headings, rows)
@@ -249,18 +251,16 @@ def _row(figures: Mapping[str, FigureJson], shown: Iterable[str], behind: str | 
     """The cells of a row: the figures and, if there is such a column, the distance from the best MSE."""
     cells: list[str] = []
     for name in shown:
-        cells.append(_mean_std(figures.get(name)))
+        cells.append(_mean_std(name, figures.get(name)))
         if name == "mse" and behind is not None:
             cells.append(behind)
     return cells
 
 
-def _mean_std(figure: FigureJson | None, *, short: bool = False) -> str:
+def _mean_std(name: str, figure: FigureJson | None, *, short: bool = False) -> str:
     if figure is None:
         return ""
-    if short or figure["std"] is None:
-        return rounded(figure["mean"])
-    return f"{rounded(figure['mean'])} ± {rounded(figure['std'])}"
+    return rounded(figure["mean"]) if short else mean_and_spread(name, figure)
 
 
 def _share(figure: FigureJson) -> str:
@@ -269,7 +269,3 @@ def _share(figure: FigureJson) -> str:
 
 def _share_interval(figure: FigureJson) -> str:
     return "" if figure["low"] is None else f" ({figure['low']:.2f} to {figure['high']:.2f})"
-
-
-def _interval(figure: FigureJson) -> str:
-    return "" if figure["low"] is None else f"{rounded(figure['low'])} to {rounded(figure['high'])}"

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from dmotion_bench.api.settings import SPLITS, require_one_of
+from dmotion_bench.cli.live import say_written
 from dmotion_bench.cli.options import listed
 from dmotion_bench.cli.stdout import say
-from dmotion_bench.wording import command
 
 if TYPE_CHECKING:
     from dmotion_bench.viewing.follow import Follower
@@ -91,7 +91,7 @@ def view(
     if live:
         _follow(viewing.follower_of(targets), web, save)
         if save is not None:
-            _tell(save)
+            say_written(save)
         return
     if target.kind == "recording":
         _show(target.path, web)
@@ -105,14 +105,9 @@ def view(
         file = save or folder / "scene.rrd"
         viewing.write_scene_of(targets, file, episode or [], part, other, workspace)
         if save is not None:
-            _tell(save)
+            say_written(save)
         if save is None or web:
             _show(file, web)
-
-
-def _tell(file: Path) -> None:
-    say(f"{file}")
-    say(f"Open it with {command('dmbench view', file)} or {command('rerun', file)}.")
 
 
 def _follow(follower: Follower, web: bool, save: Path | None) -> None:

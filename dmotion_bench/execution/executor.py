@@ -96,6 +96,10 @@ class JobQueue(Generic[Job]):
         """A job with its number; None if all are started."""
         return self._again.pop() if self._again else next(self._waiting, None)
 
+    def back(self, number: int, job: Job) -> None:
+        """Put a job back into the queue that could not be started; it is the next one."""
+        self._again.append((number, job))
+
     def killed(self, number: int, job: Job) -> None:
         """Put a job back into the queue because its worker has died, or aside if that was the last attempt."""
         self._killed[number] += 1
@@ -104,8 +108,11 @@ class JobQueue(Generic[Job]):
         else:
             self._lost.append(job)
 
-    def end(self) -> None:
+    def end(self, told: str = "") -> None:
         """Say that all other jobs are done.
+
+        Args:
+            told: A sentence more of the jobs that were put aside, such as where their logs are.
 
         Raises:
             JobsLost: Some jobs were put aside.
@@ -113,6 +120,7 @@ class JobQueue(Generic[Job]):
         if self._lost:
             raise JobsLost(
                 f"{self._who} was killed at the same job {ATTEMPTS} times, perhaps for want of memory, or of time on a "
-                "cluster; run the same command again, with fewer '--workers': it goes on where it stopped.",
+                "cluster; run the same command again, with fewer '--workers': it goes on where it stopped."
+                + (told and f" {told}"),
                 self._lost,
             )

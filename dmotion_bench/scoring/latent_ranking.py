@@ -41,6 +41,11 @@ class EmbeddingModel(Protocol):
         """The state's point in the model's latent space."""
 
 
+def can_roll_out(model: ForwardModel[Any]) -> bool:
+    """Whether a model's rollouts have figures: those of frames, of states, or of both."""
+    return model.needs_pixels or isinstance(model, EmbeddingModel)
+
+
 @dataclass(frozen=True, kw_only=True)
 class Ranks:
     """Of each rollout after each of its steps, in the order of ``HeldOut.rollouts``; NaN where nothing is ranked."""

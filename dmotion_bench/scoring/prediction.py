@@ -95,7 +95,10 @@ def score_steps(model: ForwardModel[Any], held_out: HeldOut, how: Execution) -> 
 
 
 def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, *, horizon: int) -> pa.Table:
-    """Score rollouts of ``horizon`` steps from up to four starts in each held-out episode, and their ranks."""
+    """Score rollouts of ``horizon`` steps from up to four starts in each held-out episode, and their ranks.
+
+    A model that draws no frames (``needs_pixels``) has the ranks alone.
+    """
 
     def predict(batch: RolloutBatch) -> UInt8[Tensor, "b t h w 3"]:
         previous, current = (
@@ -107,7 +110,7 @@ def score_rollouts(model: ForwardModel[Any], held_out: HeldOut, how: Execution, 
 
     size = _rollouts_at_once(how, horizon)
     ranked = rank_rollouts(model, held_out, horizon=horizon, batch_size=size, device=how.device)
-    return _rolled_out(MODEL, predict, held_out, how, horizon, ranked)
+    return _rolled_out(MODEL, predict if model.needs_pixels else None, held_out, how, horizon, ranked)
 
 
 def score_reference_steps(held_out: HeldOut, how: Execution) -> pa.Table:
@@ -140,7 +143,7 @@ def score_reference_rollouts(held_out: HeldOut, how: Execution, *, horizon: int)
 
 def _rolled_out(
     predictor: str,
-    predict: Callable[[RolloutBatch], UInt8[Tensor, "b t h w 3"]],
+    predict: Callable[[RolloutBatch], UInt8[Tensor, "b t h w 3"]] | None,
     held_out: HeldOut,
     how: Execution,
     horizon: int,
@@ -149,10 +152,12 @@ def _rolled_out(
     measures, rows, done = FrameMeasures(held_out.dataset.spec), SampleRows("rollout", predictor), 0
     total = held_out.count_rollouts(horizon)
     for batch in held_out.rollouts(horizon, _rollouts_at_once(how, horizon)):
-        predicted, truth = predict(batch), torch.from_numpy(batch.future).to(how.device)
+        compared = predict and (predict(batch), torch.from_numpy(batch.future).to(how.device))
         for ahead in range(horizon):
-            positions = measures.positions(truth[:, ahead])
-            columns = measures.compare(predicted[:, ahead], truth[:, ahead], positions, similarity=False)
+            columns = {}
+            if compared is not None:
+                predicted, truth = (frames[:, ahead] for frames in compared)
+                columns = measures.compare(predicted, truth, measures.positions(truth), similarity=False)
             described = {
                 "episode": batch.episode,
                 "step": batch.start + ahead,

@@ -10,6 +10,7 @@ from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.explanation import REMARK as EXPLAINED
 from dmotion_bench.scoring.figures import Figures
 from dmotion_bench.scoring.label_use import label_use
+from dmotion_bench.scoring.latent_ranking import can_roll_out
 from dmotion_bench.scoring.references import PublishedResult, published_for
 from dmotion_bench.scoring.report import LABEL_USES, SCORING_VERSION, Report, protocol_of, training_facts
 from dmotion_bench.scoring.tiers import refused
@@ -113,7 +114,8 @@ def _remarks(
         remarks["trained_on"] = transfer_remark(run, dataset, settings["split"])
     if published is not None:
         remarks["paper"] = f"{published.source}; labels: {published.labels}. {published.note}".strip()
-    if "rollout" in metrics and not any(name.startswith("rollout_") for name in figures):
+    rolled_out = any(name.startswith("rollout_") for name in figures)
+    if "rollout" in metrics and can_roll_out(run.model) and not rolled_out:
         remarks["rollout"] = (
             f"no {settings['split']} episode has the {settings['horizon'] + 2} frames that a rollout needs; "
             "ask for a smaller '--horizon'"

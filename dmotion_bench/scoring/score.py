@@ -17,6 +17,7 @@ from dmotion_bench.learning.data.triplets import SplitProtocol
 from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.model import ForwardModel
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.planning.agents import REFERENCES as CONTROL_REFERENCES
 from dmotion_bench.planning.columns import column_named, require_fitting_tasks, words_of_test
@@ -29,6 +30,7 @@ from dmotion_bench.scoring.figures import Figures, figures_of
 from dmotion_bench.scoring.gain import gain_tables, reason_against, require_gain
 from dmotion_bench.scoring.kept_control import shares_of
 from dmotion_bench.scoring.latent_models import LatentActionModel
+from dmotion_bench.scoring.latent_ranking import can_roll_out
 from dmotion_bench.scoring.latent_samples import learned_from_video, score_latent_actions, with_latent_actions
 from dmotion_bench.scoring.prediction import (
     MODEL,
@@ -101,7 +103,9 @@ def score_model(
     earlier: pa.Table | None = None,
     journal: Path | None = None,
 ) -> Scores:
-    """Score a model on held-out episodes; one that draws no frames (``needs_pixels``) has none to compare.
+    """Score a model on held-out episodes.
+
+    One that draws no frames (``needs_pixels``) has none to compare, but the states of its rollouts if it has any.
 
     Args:
         model: Aligned, in evaluation mode.
@@ -125,7 +129,8 @@ def score_model(
             return _scores(explain_steps(model, dataset, settings.split, settings.protocol, how), settings)
     held_out = HeldOut(dataset, settings.split, settings.protocol)
     if not model.needs_pixels:
-        metrics = tuple(metric for metric in metrics if metric in OWN_SETTINGS)
+        others = (*OWN_SETTINGS, "rollout") if can_roll_out(model) else OWN_SETTINGS
+        metrics = tuple(metric for metric in metrics if metric in others)
     triplets = len(held_out) if "prediction" in metrics else 0
     rollouts = held_out.count_rollouts(settings.horizon) if "rollout" in metrics else 0
     if "rollout" in metrics and not rollouts and settings.horizon != ScoreSettings.horizon:
@@ -147,7 +152,7 @@ def score_model(
     with predicting(how.device):
         if "prediction" in metrics:
             tables.append(shared.get(identity, lambda: score_reference_steps(held_out, how), cache))
-        if "rollout" in metrics:
+        if "rollout" in metrics and model.needs_pixels:
             key, horizon = identity | {"horizon": settings.horizon}, settings.horizon
             tables.append(shared.get(key, lambda: score_reference_rollouts(held_out, how, horizon=horizon), cache))
     with predicting(how.device, settings.precision):
@@ -217,27 +222,8 @@ def score_run(
         FolderInUse: Another process scores the run.
     """
     run, settings = Run.open(path), settings or ScoreSettings()
-    column = settings.control.column
-    if column is not None and metrics not in (None, ("control",)):
-        raise InvalidSetting(f"the column {column!r} is of control alone; leave out the other groups of figures.")
-    metrics = ("control",) if column is not None else metrics
-    dataset, folder = scored_data(run, settings.split, data, column)
-    elsewhere = dataset.fingerprint != run.spec.fingerprint
-    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
-    settings = replace(settings, protocol=protocol)
-    if dataset.spec.actions is not None:
-        run.require_aligned()
-    lacking = None
-    if metrics is None:
-        lacking = reason_against(dataset, settings.split, settings.gain)
-        metrics = DEFAULT_METRICS if lacking else (*DEFAULT_METRICS, "gain")
-    elif "gain" in metrics and dataset.spec.actions is not None:
-        require_gain(dataset, settings.split, settings.gain)
-    if "control" in metrics:
-        require_tasks(dataset)  # said before the work, not after it
-        settings.control.require_use(dataset.spec.actions)
-    if dataset.spec.actions is None:
-        metrics = ("prediction",)
+    dataset, folder = scored_data(run, settings.split, data, settings.control.column)
+    metrics, settings, lacking = _asked(run, dataset, metrics, settings)
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
         remove_leftovers(folder)
@@ -285,6 +271,55 @@ def score_run(
     return written
 
 
+def _asked(
+    run: Run, dataset: Dataset, metrics: tuple[Metric, ...] | None, settings: ScoreSettings
+) -> tuple[tuple[Metric, ...], ScoreSettings, str | None]:
+    """The groups of figures that a run gets on a data set, how, and why the gain captured is none of the usual ones.
+
+    Raises:
+        As ``score_run``.
+    """
+    column = settings.control.column
+    if column is not None and metrics not in (None, ("control",)):
+        raise InvalidSetting(f"the column {column!r} is of control alone; leave out the other groups of figures.")
+    metrics = ("control",) if column is not None else metrics
+    elsewhere = dataset.fingerprint != run.spec.fingerprint
+    protocol: SplitProtocol = "paper" if run.spec.protocol == "paper" and not elsewhere else "episode"
+    settings = replace(settings, protocol=protocol)
+    if dataset.spec.actions is not None:
+        run.require_aligned()
+    lacking = None
+    if metrics is None:
+        lacking = reason_against(dataset, settings.split, settings.gain)
+        metrics = DEFAULT_METRICS if lacking else (*DEFAULT_METRICS, "gain")
+    elif "gain" in metrics and dataset.spec.actions is not None:
+        require_gain(dataset, settings.split, settings.gain)
+    if "control" in metrics:
+        require_tasks(dataset)  # said before the work, not after it
+        settings.control.require_use(dataset.spec.actions)
+    if dataset.spec.actions is None:
+        metrics = ("prediction",)
+    return metrics, settings, lacking
+
+
+def is_up_to_date(
+    path: AnyPath, metrics: tuple[Metric, ...] | None, settings: ScoreSettings, data: AnyPath | None = None
+) -> bool:
+    """Whether a run's report holds all that ``score_run`` would be asked for; nothing is written.
+
+    Raises:
+        As ``score_run``.
+    """
+    run = Run.open(path)
+    dataset, folder = scored_data(run, settings.split, data, settings.control.column)
+    report, _ = standing_report(folder, run, dataset)
+    if report is None:
+        return False
+    metrics, settings, _ = _asked(run, dataset, metrics, settings)
+    settings = with_standing(settings, report, metrics)
+    return set(metrics) <= set(true_groups(run, dataset, report, settings, metrics))
+
+
 def scored_data(
     run: Run, split: SplitName, data: AnyPath | None = None, column: str | None = None
 ) -> tuple[Dataset, Path]:
@@ -301,7 +336,7 @@ def scored_data(
             or for other actions than it is for.
         RunMismatch, DatasetMissing: As ``score_run`` raises them.
     """
-    dataset = Dataset.open(data or run.dataset_path)
+    dataset = dataset_of(run, Dataset) if data is None else Dataset.open(data)
     if column is not None:
         if dataset.fingerprint == run.spec.fingerprint:
             raise InvalidSetting(

@@ -13,16 +13,18 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import socket
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
 import torch
 
-from dmotion_bench.errors import DmbenchError, JobsLost, RunMismatch
+from dmotion_bench.errors import DatasetMissing, DmbenchError, JobsLost, RunMismatch
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.execution.refusals import reason
 from dmotion_bench.learning.hardware.memory import keep_freed_memory
 from dmotion_bench.learning.hardware.threads import using_threads
 from dmotion_bench.learning.runs.run import Run
@@ -31,10 +33,11 @@ from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.scoring.control import score_control
 from dmotion_bench.scoring.kept_control import share_of
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import CONTROL_JOURNAL, is_scored, score_run, scored_data
+from dmotion_bench.scoring.score import CONTROL_JOURNAL, is_scored, is_up_to_date, score_run, scored_data
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.storage.lock import in_turn
+from dmotion_bench.wording import shown
 
 _SHARED: Final = SharedSamples()
 """Of the present process: a worker computes once what the runs that it scores have in common."""
@@ -50,6 +53,7 @@ class ScoreJob:
         batch_size, device: Of the computation.
         tasks: Numbers of control tasks; None: the whole run.
         progress: The file in which it says how far it is; None: nowhere.
+        machine: The name of the one where the command runs.
     """
 
     run: Path
@@ -61,6 +65,7 @@ class ScoreJob:
     device: str
     tasks: tuple[int, ...] | None = None
     progress: Path | None = None
+    machine: str = field(default_factory=socket.gethostname)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,12 +105,28 @@ def score_job(job: ScoreJob) -> ScoreOutcome:
                 data=job.data,
             )
     except Exception as error:  # a stranger's model may raise anything; the others are to be scored
-        known = isinstance(error, DmbenchError)
-        text = str(error) if known else f"{type(error).__name__}: {error}"
+        text = reason(error)
+        if isinstance(error, DatasetMissing) and (here := socket.gethostname()) != job.machine:
+            text = (
+                f"on the machine {shown(here)}: {text.rstrip('.')}. All machines must see the workspace and its data "
+                "under the same path."
+            )
         return ScoreOutcome(run=job.run, error=text, unfit=isinstance(error, RunMismatch))
     finally:
         told.end()
     return ScoreOutcome(run=job.run)
+
+
+def settled_already(job: ScoreJob) -> ScoreOutcome | None:
+    """The outcome of a run's job that would compute nothing; None if somebody has to do it."""
+    try:
+        if not job.renew and is_up_to_date(job.run, job.metrics, job.settings, job.data):
+            return ScoreOutcome(run=job.run)
+    except RunMismatch as error:
+        return ScoreOutcome(run=job.run, error=str(error), unfit=True)
+    except Exception:  # of a stranger's model, too: the job meets it again and says it
+        return None
+    return None
 
 
 def score_in_turn(jobs: Sequence[ScoreJob]) -> list[ScoreOutcome]:

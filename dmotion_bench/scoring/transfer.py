@@ -28,6 +28,7 @@ from jaxtyping import Int
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete
 from dmotion_bench.errors import DatasetError, DatasetMissing, RunMismatch
 from dmotion_bench.learning.runs.manifest import stored_actions
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.scoring.overlap import copied_episodes
 from dmotion_bench.scoring.report import REPORT_FILE, REPORT_FOLDER, TRANSFERS, read_report, report_place
@@ -254,7 +255,7 @@ def _concatenated(dataset: Dataset, *splits: SplitName) -> Int[np.ndarray, " n"]
 def own_dataset(run: Run) -> Dataset | None:
     """The data set that the run was trained on, if it still exists unchanged."""
     try:
-        dataset = Dataset.open(run.dataset_path)
+        dataset = dataset_of(run, Dataset)
     except DatasetError:
         return None
     return dataset if dataset.fingerprint == run.spec.fingerprint else None

@@ -188,8 +188,16 @@ class FolderPlace:
 
         Raises:
             ShareCorrupt: A folder above it is a link.
+            UsageError: A folder above it is a file.
         """
         there = self._file(name)
+        try:
+            there.parent.mkdir(parents=True, exist_ok=True)
+        except (NotADirectoryError, FileExistsError):
+            raise UsageError(
+                f"nothing can be written to {shown(str(self._path))}: {shown(str(there.parent))} cannot be a folder, a "
+                "file is in the way; delete that file, or name another place."
+            ) from None
         if there.parent not in self._tidied:
             remove_leftovers(there.parent)
             self._tidied.add(there.parent)

@@ -209,6 +209,14 @@ class Manifest:
         return manifest
 
 
+def fingerprint_at(folder: Path) -> str:
+    """The fingerprint of the data set in a folder; empty where none can be read."""
+    try:
+        return Manifest.read(folder).fingerprint
+    except (DatasetError, OSError):
+        return ""
+
+
 def identified_recipe(identity: bytes) -> DatasetRecipe:
     """The recipe in a data set's ``identity``, which may come from anybody.
 

@@ -21,11 +21,11 @@ from dmotion_bench.viewing.chart import HEIGHT, WIDTH, log_chart
 from dmotion_bench.viewing.dataset import labels_if_any, part_of
 from dmotion_bench.viewing.imagination import GIVEN, Imagination, Prediction, can_imagine, imagine
 from dmotion_bench.viewing.labels import ACTION_COLORS, log_events, log_legend, what_happens
-from dmotion_bench.viewing.report import curves_of, episode_means, figure_text, interval_text
+from dmotion_bench.viewing.report import curves_of, episode_means, figure_text
 from dmotion_bench.viewing.run import AMPLIFIED, COPIED, log_prediction
 from dmotion_bench.viewing.scene import Scene, Tab, picture_view
 from dmotion_bench.viewing.tracks import Color, log_curve, log_images, log_mark, log_rings
-from dmotion_bench.wording import rounded
+from dmotion_bench.wording import from_to, rounded
 
 MOST = 10
 """Models that fit beside each other."""
@@ -315,7 +315,7 @@ def _table(reports: Mapping[str, tuple[Path, Report]]) -> str:
         if report.frames != reports[order[0]][1].frames:
             apart = "other frames"
         elif name != order[0] and own is not None and best is not None and (found := behind(own, best)) is not None:
-            apart = standing_words(found, f"**+{rounded(found.mean)}**", interval_text(found.to_json()))
+            apart = standing_words(found, f"**+{rounded(found.mean)}**", from_to(found.low, found.high))
         lines.append(f"| {name} | {' | '.join(figure_text(report.figures.get(key)) for key in shown)} | {apart} |")
     lines += ["", "Mean over the test episodes; differences are paired, with their 95% interval over episodes."]
     return "\n".join(lines)

@@ -11,6 +11,7 @@ import numpy as np
 import rerun as rr
 import rerun.blueprint as rrb
 
+from dmotion_bench.figure_intervals import interval_words, mean_and_spread
 from dmotion_bench.figure_words import figure_words
 from dmotion_bench.scoring.report import (
     REPORT_FOLDER,
@@ -195,9 +196,8 @@ def _table(report: Report, names: Sequence[str], others: Sequence[str]) -> list[
     rows = [["", "mean ± std", "95% interval", *map(plain, beside)], ["---"] * (3 + len(beside))]
     for key in shown:
         figure = report.figures[key]
-        spread = f"{figure_text(figure)} ± {rounded(figure['std'])}"
         compared = [figure_text(report.reference[one].get(key)) for one in beside]
-        rows.append([figure_words(key), spread, interval_text(figure), *compared])
+        rows.append([figure_words(key), mean_and_spread(key, figure), interval_words(key, figure), *compared])
     lines = ["", *(f"| {' | '.join(row)} |" for row in rows)]
     why = why_no_interval(report.figures[key] for key in shown)
     return lines if why is None else [*lines, "", f"95% interval: {why}."]
@@ -213,8 +213,3 @@ def _keys(figures: Mapping[str, FigureJson], name: str) -> list[str]:
 def figure_text(figure: FigureJson | None) -> str:
     """A figure's mean as text; empty if there is no such figure."""
     return "" if figure is None else rounded(figure["mean"])
-
-
-def interval_text(figure: FigureJson) -> str:
-    """A figure's interval as text."""
-    return "" if figure["low"] is None else f"{rounded(figure['low'])} to {rounded(figure['high'])}"

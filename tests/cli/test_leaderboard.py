@@ -177,6 +177,15 @@ def test_compare_takes_all_trainings_whose_names_differ_in_the_seed(
     assert (as_json["first"], as_json["second"]) == (str(tmp_path / "runs/a"), list(map(str, trainings)))
 
 
+def test_compare_refuses_a_run_against_itself(run: Callable[..., Result], parts: Parts, tmp_path: Path) -> None:
+    (tmp_path / "link").symlink_to(tmp_path / "runs/a")
+    for other in ("a", str(tmp_path / "runs/a"), str(tmp_path / "link")):
+        error = run("compare", "a", other).exception
+        assert isinstance(error, UsageError)
+        assert "is named on both sides; name two models" in str(error)
+    assert not parts.asked
+
+
 def test_compare_as_json(run: Callable[..., Result], parts: Parts) -> None:
     found = json.loads(run("compare", "a", "b", "--json").stdout)
 

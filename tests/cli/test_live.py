@@ -31,12 +31,15 @@ def test_a_recording_a_training_and_following_them_afterwards(
 ) -> None:
     recording, training = tmp_path / "recording.rrd", tmp_path / "training.rrd"
     words = ["record", "grid_world", "--preset", "tiny", "--workers", "1", "--live-to", str(recording)]
-    assert dmbench(words, capsys, monkeypatch).code == 0
+    outcome = dmbench(words, capsys, monkeypatch)
+    assert outcome.code == 0
+    assert outcome.out.endswith(f"{recording}\nOpen it with 'dmbench view {recording}' or 'rerun {recording}'.\n")
     assert values(recording, "/recording/camera", "Image:buffer")
 
     words = ["train", "dmotion", "--preset", "tiny", "--live-to", str(training), "--json"]
     said = dmbench(words, capsys, monkeypatch)
     assert said.code == 0
+    assert f"Open it with 'dmbench view {training}' or" in said.err  # the object is alone on stdout
     run = Path(json.loads(said.out)["run"])
     rows = [json.loads(line) for line in (run / "metrics.jsonl").read_text().splitlines()]
     losses = [(row["step"], row["loss"]) for row in rows if "loss" in row]

@@ -60,7 +60,7 @@ def test_several_seeds_are_the_trainings_of_each(
     alone = json.loads(
         run("train", "dmotion", *asked, "--seed", "4", "--threads", "1", "--out", str(tmp_path / "alone")).out
     )
-    outcome = run("train", "dmotion", *asked, "--seeds", "0,4,0", "--workers", workers)
+    outcome = run("train", "dmotion", *asked, "--seeds", "0,4", "--workers", workers)
     assert outcome.code == 0
     rows = json.loads(outcome.out)["rows"]
     runs = [Run.open(row["run"]) for row in rows]
@@ -89,6 +89,9 @@ def test_all_models_are_trained_with_several_seeds(run: Command, monkeypatch: py
     [
         (("dmotion", "--seeds", "0,x"), "--seeds holds 'x'; give whole numbers, such as 0,1,2."),
         (("dmotion", "--seeds", ""), "--seeds holds nothing; give whole numbers, such as 0,1,2."),
+        (("dmotion", "--seeds", "0,1,01"), "--seeds names 1 twice; name each number once."),
+        (("--all", "--seeds", "3,3"), "--seeds names 3 twice; name each number once."),
+        (("dmotion", "--seeds", "0,1", "--labels", "5000"), "more labelled transitions than the data set has, "),
         (("dmotion", "--seeds", "1", "--seed", "2"), "--seeds makes several runs; leave out --seed."),
         (("dmotion", "--seeds", "1", "--out", "a", "--devices", "2"), "leave out --out and --devices."),
         (("--all", "--seeds", "1", "--set", "epochs=1"), "--all chooses these for every model; leave out --set."),

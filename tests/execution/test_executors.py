@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from mortal_workers import (
+    DiesOnce,
     LeavesTraces,
     OutOfTimeOnce,
     RecordsAndDiesOnce,
@@ -203,6 +204,57 @@ def test_what_slurm_refuses_is_a_sentence(tmp_path: Path, slurm: Path, capfd: py
             list(make_executor("slurm", 2, tmp_path / "jobs").map_unordered(abs, range(jobs)))
     assert capfd.readouterr().err == ""
     assert not (tmp_path / "jobs").exists()
+
+
+@needs_submitit
+@pytest.mark.parametrize(
+    ("accounts", "state"),
+    [("exit 1", "forgotten"), ("echo 'JobID|State|NodeList'; echo '1000|PREEMPTED|'", "preempted")],
+)
+def test_a_job_that_slurm_s_accounts_lose_is_missed_in_its_queue(
+    tmp_path: Path, slurm: Path, accounts: str, state: str
+) -> None:
+    """Its accounts may be switched off, too. Without this the command would wait for ever."""
+    (slurm / "bin" / "sacct").write_text(f"#!/bin/sh\n{accounts}\n")
+    executor = make_executor("slurm", 1, tmp_path / "jobs")
+    assert list(executor.map_unordered(DiesOnce(abs, tmp_path / state, -1), [-1])) == [1]
+    assert (tmp_path / state).exists()
+
+
+@needs_submitit
+def test_what_the_logs_of_lost_jobs_end_with_is_told(tmp_path: Path, slurm: Path) -> None:
+    srun = slurm / "bin" / "srun"
+    broken = "import sys; sys.exit('ModuleNotFoundError: there is no dmbench here')"
+    srun.write_text(srun.read_text().replace("sys.argv[start:]", f"[sys.argv[start], '-c', {broken!r}]"))
+    said = rf"ends with 'ModuleNotFoundError: there is no dmbench here', and all logs are in '{tmp_path / 'jobs'}'\.$"
+    with pytest.raises(JobsLost, match=said):
+        list(make_executor("slurm", 1, tmp_path / "jobs").map_unordered(abs, [-1]))
+    assert list((tmp_path / "jobs").glob("*_log.err"))
+    srun.write_text("#!/bin/sh\nexit 1\n")
+    with pytest.raises(JobsLost, match=r"It left no log: perhaps its machine does not see the workspace"):
+        list(make_executor("slurm", 1, tmp_path / "other").map_unordered(abs, [-1]))
+
+
+LIMITED = """#!{python}
+import os, re, subprocess, sys
+from pathlib import Path
+array = re.search(r"--array=0-(\\d+)%", Path(sys.argv[1]).read_text())
+asked = int(array[1]) + 1 if array else 1
+if asked + len(subprocess.run(["squeue"], capture_output=True, check=True).stdout.split()) > {most}:
+    sys.exit("sbatch: error: QOSMaxSubmitJobPerUserLimit")
+os.execv({sbatch!r}, [{sbatch!r}, *sys.argv[1:]])
+"""
+
+
+@needs_submitit
+@pytest.mark.parametrize("workers", [None, 4])
+def test_where_slurm_takes_few_jobs_at_a_time_few_are_sent(tmp_path: Path, slurm: Path, workers: int | None) -> None:
+    sbatch, own = slurm / "bin" / "sbatch", slurm / "bin" / "sbatch-without-limit"
+    sbatch.rename(own)
+    sbatch.write_text(LIMITED.format(python=sys.executable, most=2, sbatch=str(own)))
+    sbatch.chmod(0o755)
+    executor = make_executor("slurm", workers, tmp_path / "jobs")
+    assert sorted(executor.map_unordered(abs, range(-5, 0))) == [1, 2, 3, 4, 5]
 
 
 @needs_submitit

@@ -135,6 +135,15 @@ def test_a_page_of_another_kind_is_left_as_it_is(tmp_path: Path) -> None:
     assert [(page.name, page.read_text())] == [(file.name, file.read_text()) for file in tmp_path.iterdir()]
 
 
+def test_no_page_is_written_among_data_sets_and_runs(workspace: Workspace) -> None:
+    data, (run, *_) = workspace.datasets()[0], workspace.all_runs()
+    for folder, kind in ((data, "a data set"), (data.parent, "a data set"), (run, "a run"), (run.parent, "a run")):
+        before = sorted(folder.iterdir())
+        with pytest.raises(UsageError, match=rf"holds {kind} and no leaderboard .*; name another folder"):
+            build([], [], folder)
+        assert sorted(folder.iterdir()) == before
+
+
 def test_what_is_no_entry_stops_the_build(tmp_path: Path) -> None:
     (tmp_path / "bad.json").write_text("{}")
     (tmp_path / "empty").mkdir()

@@ -5,11 +5,14 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from dmotion_bench.recording.preset import recipe_for
 from dmotion_bench.scoring.report import LABEL_USES, FigureJson
+from dmotion_bench.specs import Preset
 from leaderboard.board import Board, make_boards
 from leaderboard.entry import Entry
 from leaderboard.entry_file import read_entries
@@ -188,6 +191,19 @@ def test_a_world_is_its_board_of_most_models_and_a_world_of_few_is_not_counted()
     assert "lack a result with their usual labels and settings in one of these worlds: t." in said
     assert "half as many models, which are not counted: C." in said
     assert "with its usual settings, which are not counted: E." in said
+
+
+def test_a_world_is_what_its_usual_recipe_makes_however_many_models_other_data_have() -> None:
+    few = [_row(name, [place]) for place, name in enumerate("pqr", 1)]
+    many = [*few, _row("s", [4]), _row("t", [5])]
+    usual = replace(_board("grid_world", few, dataset="usual"), recipe=recipe_for("grid_world", Preset.PAPER))
+    other = replace(_board("grid_world", many, dataset="other"), recipe=recipe_for("grid_world", Preset.PAPER, seed=1))
+    unknown = _board("grid_world", many, dataset="unknown")
+    second = _board("b", many)
+    for boards in ([usual, other, unknown, second], [unknown, second, other, usual]):
+        found = summarise(boards)
+        assert found is not None
+        assert {board.dataset for board in found.boards} == {"usual", "b"}
 
 
 @pytest.mark.parametrize("boards", [[], [_board("a", [_row("x", [1]), _row("y", [2])])]], ids=["nothing", "one world"])

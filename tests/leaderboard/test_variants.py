@@ -132,6 +132,30 @@ def test_another_s_run_of_the_same_name_and_seed_is_a_row_of_its_own(
     assert {row.variant for row in measured} == {f"weights {sound.content['weights'][:8]}", "weights 99999999"}
 
 
+def test_one_entry_renames_no_row_of_several_trainings(sound: Entry, changed: Callable[..., Entry]) -> None:
+    """Its settings, threads and preset may be others, or it may be the same training, repeated elsewhere."""
+    ours = [sound, *(changed(seed=seed, run=f"{sound.name[:-1]}{seed}", weights=f"{seed}" * 64) for seed in (1, 2))]
+    repeated = changed(weights="9" * 64)
+    longer = changed(weights="8" * 64, preset="small", run=f"{sound.name[:-3]}-small-s0")
+
+    (board,) = [board for board in make_boards([*ours, repeated, longer]) if board.dataset]
+
+    measured = {row.variant: row.seeds for row in board.rows if row.kind == "measured"}
+    assert measured[""] == 3
+    assert sorted(measured.values()) == [1, 1, 3]
+    assert "small" in measured
+
+
+def test_a_name_that_says_no_settings_is_told_however_many_trainings_have_it(result: Callable[..., Entry]) -> None:
+    """Their row would else be called as that of the usual settings is."""
+    usual = f"a-{result('a', np.ones(40)).content['dataset']['name']}"
+    own = [result("a", np.ones(40), run=f"own-s{seed}", seed=seed, weights=f"{seed}" * 64) for seed in range(3)]
+
+    (board,) = make_boards([result("a", np.ones(40), run=f"{usual}-s0"), *own])
+
+    assert {row.variant: row.seeds for row in board.rows if row.kind == "measured"} == {"": 1, "own": 3}
+
+
 def test_the_number_of_threads_tells_rows_apart_only_where_nothing_else_does(result: Callable[..., Entry]) -> None:
     dataset = str(result("a", np.ones(40)).content["dataset"]["name"])
 

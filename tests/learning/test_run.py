@@ -10,17 +10,20 @@ from pathlib import Path
 import pytest
 import torch
 from known_model import result_of, spec_with
+from walking_square import record_walks
 
 from dmotion_bench.actions import Discrete
 from dmotion_bench.api.viewing import find_targets, follower_of
-from dmotion_bench.errors import InvalidSetting, RunCorrupt, RunError, RunMismatch
+from dmotion_bench.errors import DatasetMissing, InvalidSetting, RunCorrupt, RunError, RunMismatch
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.manifest import stored_actions
+from dmotion_bench.learning.runs.own_data import dataset_of
 from dmotion_bench.learning.runs.run import Run, RunSpec
 from dmotion_bench.learning.settings import to_json
 from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.registry import model_class
+from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.workspace import Workspace
 
 
@@ -88,6 +91,22 @@ def test_links_within_a_run_and_those_of_other_programs_are_left_alone(workspace
 
 def test_what_is_gone_is_named_as_it_was_given(workspace: Path) -> None:
     assert run_of(workspace, "data/other").dataset_path == Path("data/other")
+
+
+def test_a_data_set_is_found_under_another_name_by_its_fingerprint(tmp_path: Path) -> None:
+    data = tmp_path / "data"
+    meant = Dataset.open(record_walks(data / "published"))
+    record_walks(data / "grid", episodes=15)  # another one has its name
+    spec = dataclasses.replace(_asked(), fingerprint=meant.fingerprint)
+    run = Run.create_or_open(tmp_path / "runs" / "one", spec, dataset_path=Path("data/grid"), versions={})
+    assert run.dataset_path == meant.path
+    assert dataset_of(run, Dataset).fingerprint == meant.fingerprint
+    shutil.rmtree(data / "published")
+    assert run.dataset_path == data / "grid"  # it has changed, and whoever opens it says so
+    shutil.rmtree(data / "grid")
+    said = rf"the run 'one' was trained on the data set 'grid', .* 'dmbench share pull {meant.fingerprint[:12]} --from"
+    with pytest.raises(DatasetMissing, match=said):
+        dataset_of(run, Dataset)
 
 
 def _asked(**settings: object) -> RunSpec:

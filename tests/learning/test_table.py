@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import socket
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +25,7 @@ from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import DatasetRecipe, Preset
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.versions import deciding_versions
 from dmotion_bench.workspace import Workspace
 
 REQUEST = TrainingRequest(model="", preset=Preset.TINY, seed=3)
@@ -87,6 +89,8 @@ def test_a_row_that_fails_does_not_stop_the_others(dataset, tmp_path, monkeypatc
         if run.spec.labels == "10%":
             raise ZeroDivisionError("by hand")
         if run.spec.model == "lapo":
+            if run.spec.labels == "20-shot":
+                raise PermissionError(errno.EACCES, "Permission denied", "a/run.json")
             raise RunError("training diverged.")
         trained.append(run.path.name)
 
@@ -97,7 +101,7 @@ def test_a_row_that_fails_does_not_stop_the_others(dataset, tmp_path, monkeypatc
         ("ed-cnm", "", outcomes[2].error),
         ("lapo", "one-shot", "training diverged."),
         ("lapo", "5-shot", "training diverged."),
-        ("lapo", "20-shot", "training diverged."),
+        ("lapo", "20-shot", "may not write or read 'a/run.json': Permission denied."),
     ]
     assert "did you mean 'ed-cnn'?" in (outcomes[2].error or "")
     assert trained == ["cswm-noise-tiny-s3"]
@@ -119,6 +123,25 @@ def test_where_a_machine_does_not_see_the_data_its_rows_fail_and_name_it(dataset
     assert "not-mounted" in (unseen.error or "")
     assert "under the same path" in (unseen.error or "")
     assert seen.error is None
+
+
+def test_jobs_say_once_of_a_machine_that_it_has_other_packages_and_of_each_run_that_goes_on_with_them(
+    dataset, tmp_path
+) -> None:
+    here = deciding_versions()
+    first, second = (
+        replace(_job(dataset, tmp_path, labels=labels), versions=here | {"torch": "1.0"}) for labels in ("100%", "10%")
+    )
+    one, other = train_jobs([first, second], local_executor(1))
+    machine = f"the machine {socket.gethostname()!r} trains with torch {here['torch']}, and the one where the command"
+    assert [told.startswith(machine) for told in one.warnings] == [True]
+    assert other.warnings == ()
+    assert one.run is not None
+    one.run.manifest |= {"result": None, "versions": one.run.manifest["versions"] | {"torch": "1.0"}}
+    one.run.write()
+    (again,) = train_jobs([replace(first, versions=here)], local_executor(1))
+    assert "goes on with another version than it began with (torch 1.0, " in again.warnings[0]
+    assert str(one.run.path) in again.warnings[0]
 
 
 @pytest.mark.slow

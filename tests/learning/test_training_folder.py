@@ -3,15 +3,25 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import itertools
 import shutil
 
 import pytest
 from killed_writes import Killed, each_kill, killed_at
 from learning.short_training import SETTINGS, Stopped, short_run, train_short
+from made_up_import import write_import
 
 from dmotion_bench.api.training import begin, complete
-from dmotion_bench.errors import FolderInUse, RunCorrupt, RunMismatch, RunMissing
+from dmotion_bench.errors import (
+    FolderInUse,
+    LabelsNotAvailable,
+    RunCorrupt,
+    RunMismatch,
+    RunMissing,
+    UnknownName,
+    UsageError,
+)
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
@@ -19,6 +29,7 @@ from dmotion_bench.learning.training.beginning import finished_result
 from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.learning.training.state import StepReport
+from dmotion_bench.learning.training.table import Row, TableJob, train_rows
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import held
 from dmotion_bench.workspace import Workspace
@@ -40,6 +51,31 @@ def test_each_budget_has_a_folder_of_its_own(recorded, tmp_path, model, labels, 
     request = TrainingRequest(model=model, labels=labels)
     spec = resolve(request, Dataset.open(recorded))
     assert default_path(request, spec, Workspace(tmp_path)) == tmp_path / "runs" / name
+
+
+def test_an_empty_architecture_is_none(recorded) -> None:
+    with pytest.raises(UnknownName, match="no architecture of dmotion named ''; known: compact, paper"):
+        resolve(TrainingRequest(model="dmotion", arch=""), Dataset.open(recorded))
+
+
+def test_a_budget_that_is_larger_than_the_data_set_is_refused_with_what_there_is(recorded, tmp_path) -> None:
+    dataset = Dataset.open(recorded)
+    there = int((dataset.lengths - 1).sum())
+    asked = TrainingRequest(model="ed-cnn", labels=str(there))
+    assert begin(asked, dataset, Workspace(tmp_path), None).spec.labels == str(there)
+    with pytest.raises(UsageError, match=f"'--labels {there + 1}' asks for more .* has, {there}; .* '--labels all'"):
+        begin(dataclasses.replace(asked, labels=str(there + 1)), dataset, Workspace(tmp_path), None)
+
+
+@pytest.mark.parametrize("labels", ["4", "one-shot", "all"])
+def test_labels_of_unknown_actions_are_refused_where_a_training_could_be_taken_over(recorded, tmp_path, labels) -> None:
+    video = write_import(tmp_path / "data" / "video", Dataset.open(recorded), actions=())
+    request = TrainingRequest(model="dmotion", settings=SETTINGS)
+    run = begin(request, video, Workspace(tmp_path), None)
+    train_short(run, video.path)
+    with pytest.raises(LabelsNotAvailable, match="nothing to demonstrate"):
+        begin(dataclasses.replace(request, labels=labels), video, Workspace(tmp_path), None)
+    assert [*(tmp_path / "runs").iterdir()] == [run.path]
 
 
 @pytest.mark.parametrize(
@@ -137,6 +173,30 @@ def test_no_training_is_taken_over_into_a_folder_that_another_command_has_begun(
         finished_result(run)
     assert [path.name for path in run.path.iterdir()] == ["run.json"]
     assert Run.open(run.path).spec.seed == 1
+
+
+def test_no_training_is_taken_over_for_labels_that_are_not_there(recorded, trained, tmp_path) -> None:
+    dataset = Dataset.open(recorded)
+    shutil.copytree(trained.path, tmp_path / "one")
+    request = TrainingRequest(model="dmotion", labels="900-shot", settings=SETTINGS)
+    run = begin(request, dataset, Workspace(tmp_path), tmp_path / "two")
+    with pytest.raises(LabelsNotAvailable, match="fewer than 900 demonstrations"):
+        complete(run, dataset, "cpu")
+    job = TableJob(
+        request=request,
+        rows=(Row(model="dmotion", labels="900-shot"),),
+        dataset=recorded,
+        workspace=tmp_path,
+        device="cpu",
+        threads=1,
+        progress=None,
+    )
+    usual = default_path(request, resolve(request, dataset), Workspace(tmp_path))
+    shutil.copytree(trained.path, usual.parent / "one")
+    (row,) = train_rows(job)
+    assert "fewer than 900 demonstrations" in str(row.error)
+    assert not run.path.exists()
+    assert not usual.exists()
 
 
 def test_damaged_weights_are_not_deleted_while_another_command_trains_them_anew(recorded, trained, tmp_path) -> None:

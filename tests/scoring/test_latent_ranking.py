@@ -103,6 +103,26 @@ def test_a_state_that_is_the_same_for_all_pictures_has_no_hit(grid: Dataset) -> 
             rank_rollouts(model, held_out, horizon=4, batch_size=5, device=CPU)
 
 
+def test_a_model_that_draws_no_frames_has_the_ranks_of_one_that_does(grid: Dataset) -> None:
+    class Blind(KnowingNothing):
+        needs_pixels = False
+
+        def frame(self, state: tuple[Tensor, Tensor]) -> Tensor:
+            raise AssertionError("asked for a frame")
+
+    chosen = ScoreSettings(horizon=3, resamples=100)
+    inputs = ModelInputs(height=128, width=128, actions=Discrete.numbered(4))
+    sees, blind = (
+        score_model(kind(NoConfig(), inputs), grid, metrics=("prediction", "rollout"), settings=chosen)
+        for kind in (KnowingNothing, Blind)
+    )
+
+    ranked = {name: one for name, one in sees.figures.items() if name.startswith(("rollout_hit", "rollout_reciprocal"))}
+    assert len(ranked) == 6
+    assert blind.figures == ranked
+    assert blind.reference == {}
+
+
 def test_a_rollout_alone_has_no_rank(grid: Dataset) -> None:
     chosen = ScoreSettings(horizon=3, resamples=100)
     with patch("dmotion_bench.scoring.transitions.HeldOut._starts", lambda *_: [(int(grid.split("test")[0]), 1)]):

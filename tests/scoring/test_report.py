@@ -17,6 +17,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 from killed_writes import Killed, each_kill, killed_at
+from known_model import Known
 
 from dmotion_bench.actions import Continuous
 from dmotion_bench.cli.report_table import _shown, show_overview
@@ -318,6 +319,19 @@ def test_episodes_that_are_too_short_have_no_rollouts(make_run: MakeRun, tmp_pat
 
     assert report.figures == {}
     assert "17 frames" in report.remarks["rollout"]
+
+
+def test_a_model_that_draws_nothing_is_not_told_that_episodes_are_too_short(
+    make_run: MakeRun, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Blind(Known):
+        needs_pixels = False
+
+    monkeypatch.setattr("dmotion_bench.learning.runs.manifest.model_class", lambda name: Blind)
+    report = score_run(make_run(tmp_path / "run").path, metrics=("rollout",), settings=QUICK)
+
+    assert report.figures == {}
+    assert "rollout" not in report.remarks
 
 
 def test_a_published_row_stands_beside_the_run_it_belongs_to() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import socket
 import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -14,6 +15,7 @@ import pytest
 from known_model import Known, write_run
 from mortal_workers import Losing
 
+from dmotion_bench.api.side_by_side import Hands, score_at_once
 from dmotion_bench.execution.job_progress import read_progress
 from dmotion_bench.execution.local_executor import local_executor
 from dmotion_bench.learning.runs.run import Run
@@ -28,6 +30,7 @@ from dmotion_bench.scoring.side_by_side import ScoreJob, control_shares, score_j
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.lock import in_turn
+from dmotion_bench.workspace import Workspace
 
 FEW = ("samples=3", "horizon=2", "iterations=1", "elites=2")
 SCORING = ControlScoring(tasks=5, steps=4, group=2, planner_set=FEW)
@@ -146,6 +149,13 @@ def test_one_that_fails_does_not_stop_the_others(job: MakeJob, tmp_path: Path) -
     assert read_report(jobs[0].run / "report") is not None
 
 
+@pytest.mark.parametrize("machine", [socket.gethostname(), "login"])
+def test_another_machine_that_does_not_see_the_data_is_named(job: MakeJob, tmp_path: Path, machine: str) -> None:
+    unseen = replace(job("a", metrics=("prediction",)), data=tmp_path / "not-mounted", machine=machine)
+    named = f"on the machine {socket.gethostname()!r}: no data set in" in (score_job(unseen).error or "")
+    assert named == (machine == "login")
+
+
 @pytest.mark.slow
 def test_a_lost_job_is_a_failure_of_its_runs_alone(job: MakeJob) -> None:
     outcomes = list(score_side_by_side([job("lost"), job("sound")], Losing()))
@@ -188,6 +198,40 @@ class Noting:
         for job in jobs:
             self.given.append(job)
             yield function(job)
+
+
+@pytest.mark.slow
+def test_runs_that_are_scored_or_do_not_fit_need_no_job(
+    tasks: Dataset, job: MakeJob, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    executor, told = Noting([]), list[str]()
+    monkeypatch.setattr("dmotion_bench.api.side_by_side.make_executor", lambda *_, **__: executor)
+    unfit, paths = (
+        write_run(tmp_path / "unfit", tasks, height=64, fingerprint="0" * 64).path,
+        [job(name).run for name in ("a", "b")],
+    )
+    settings = replace(SETTINGS, horizon=2)
+
+    def sent(*runs: Path, keep: bool = True, metrics: tuple[Any, ...] = ("prediction",)) -> list[str]:
+        """The names of the runs for which jobs are sent."""
+        before = len(executor.given)
+        hands = Hands(executor="slurm", workers=2)
+        where = Workspace(tmp_path)
+        done, failures = score_at_once(
+            runs, metrics, settings, where, hands, keep=keep, data=tasks.path, note=told.append, warn=told.append
+        )
+        assert not failures
+        assert set(done) == {*runs} - {unfit}
+        return [one.run.name for chain in executor.given[before:] for one in chain]
+
+    assert sent(paths[0]) == ["a"]
+    assert told == []
+    assert sent(*paths, unfit) == ["b"]
+    assert told[0] == "2 of 3 runs need no scoring, so no jobs are sent for them."
+    assert told[1].startswith("left out: ")
+    assert sent(*paths) == []
+    assert sent(*paths, metrics=("rollout",)) == ["a", "b"]
+    assert sent(*paths, keep=False) == ["a", "b"]
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from dmotion_bench.api.leaderboard import leaderboard_compare
 from dmotion_bench.errors import RunMismatch, RunMissing
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.pairing import compare_runs, scored_on
@@ -91,7 +90,7 @@ def test_of_two_data_sets_of_one_name_each_keeps_its_report(make_run: MakeRun, o
     assert _score(run, other, renew=False) == first
     for dataset, report in ((other, first), (namesake, second)):
         assert scored_on(run.path, dataset)[0] == report
-        compared = {one.figure: one for one in leaderboard_compare(run.path, run.path, data=dataset.path)}
+        compared = {one.figure: one for one in compare_runs(run.path, run.path, dataset)}
         assert compared["mse"].first == pytest.approx(report.figures["mse"]["mean"])
 
 

@@ -11,6 +11,7 @@ from sharing.workspaces import contents, fingerprint, nothing_in, weights
 import dmotion_bench as dm
 from dmotion_bench.errors import DmbenchError, RunError, ShareCorrupt, ShareMissing, UsageError
 from dmotion_bench.scoring.transfer import transfer_folders
+from dmotion_bench.sharing.place import open_place
 from dmotion_bench.workspace import Workspace
 
 
@@ -114,3 +115,13 @@ def test_a_run_whose_folder_is_a_link_is_published(workspace: Workspace, folder:
     (workspace.runs / "known").symlink_to(tmp_path / "known")
     dm.share_push("known", folder.address)
     assert len(folder.files()) > 2
+
+
+@pytest.mark.parametrize("place", ["in_the_way/below", "whole"])
+def test_a_file_in_a_folders_way_is_said(tmp_path: Path, place: str) -> None:
+    for name in ("in_the_way", "whole/datasets", "sent"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("here before")
+    with pytest.raises(UsageError, match=r"datasets/ab' cannot be a folder, a file is in the way; delete that file"):
+        open_place(tmp_path / place).write(tmp_path / "sent", "datasets/ab/one")
+    assert {file.read_text() for file in tmp_path.rglob("*") if file.is_file()} == {"here before"}

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import re
 from pathlib import Path
 
 import foxglove
@@ -21,6 +23,7 @@ from storage.foreign import (
     video,
 )
 from storage.hand_made import SMALL, by_hand, chunk, peak_of, record, refused
+from walking_square import record_walks
 
 from dmotion_bench.errors import InvalidSetting, RecipeMismatch, UsageError
 from dmotion_bench.recording.fleet import import_fleet
@@ -314,8 +317,32 @@ def test_the_same_command_again_changes_nothing_and_another_is_refused(good: Pat
     made = (tmp_path / "out" / "dataset.json").stat().st_mtime_ns
     assert import_recordings([good], tmp_path / "out", SMALL) == first
     assert (tmp_path / "out" / "dataset.json").stat().st_mtime_ns == made
-    with pytest.raises(RecipeMismatch, match="holds a data set of other recordings or options"):
-        import_recordings([good], tmp_path / "out", ImportOptions(size=16))
+    other = dataclasses.replace(SMALL, size=16, seed=3, salvage=True, max_gap_s=9.0)
+    said = (
+        f"'--size' is {SMALL.size} there and 16 here; '--max-gap' is left out there and 9.0 here; '--salvage' is left "
+        "out there and given here; '--seed' is 0 there and 3 here; name another folder"
+    )
+    with pytest.raises(RecipeMismatch, match=f"holds an import with other options: {re.escape(said)}"):
+        import_recordings([good], tmp_path / "out", other)
+
+
+def test_other_recordings_in_the_same_folder_are_refused_by_name(good: Path, tmp_path: Path) -> None:
+    second = foxglove_file(tmp_path / "second.mcap", video(5), steady(5))
+    import_recordings([good], tmp_path / "out", SMALL)
+    import_recordings([good, second], tmp_path / "both", SMALL)
+    for given, place, said in (
+        ([good, second], "out", "import of other recordings, which lacks 'second.mcap'"),
+        ([second], "both", f"import of other recordings, which has {good.name!r}"),
+        ([second, good], "both", "import of these recordings in another order"),
+    ):
+        with pytest.raises(RecipeMismatch, match=said):
+            import_recordings(given, tmp_path / place, SMALL)
+
+
+def test_an_import_into_a_recorded_data_set_is_refused(good: Path, tmp_path: Path) -> None:
+    record_walks(tmp_path / "walks", episodes=2)
+    with pytest.raises(RecipeMismatch, match="holds a data set recorded in 'walk'; name another folder"):
+        import_recordings([good], tmp_path / "walks", SMALL)
 
 
 def test_options_that_cannot_be() -> None:

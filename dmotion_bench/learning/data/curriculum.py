@@ -192,7 +192,10 @@ def held_for_validation(data: TrainingData) -> TripletSet:
 
 
 def labels_given(
-    train: TripletSet, validation: TripletSet, budget: LabelBudget, supervision: Supervision
+    train: TripletSet | StreamedTriplets,
+    validation: TripletSet | StreamedTriplets,
+    budget: LabelBudget,
+    supervision: Supervision,
 ) -> Mapping[str, int]:
     """How many labels a budget gives a training, by purpose; none of them is learned from.
 
@@ -200,7 +203,10 @@ def labels_given(
         LabelsNotAvailable: The budget asks for labels that are not there.
     """
     if supervision is Supervision.ACTIONS:
-        budget.actions(train, "training")
+        if isinstance(train, StreamedTriplets):
+            budget.streamed_actions(train)
+        else:
+            budget.actions(train, "training")
         budget.actions(_evenly(validation, VALIDATION_TRIPLETS), "validation")
     elif budget.request.kind != "none":
         budget.demonstrations(train)

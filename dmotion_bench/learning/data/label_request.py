@@ -68,7 +68,22 @@ class LabelRequest:
 
     def of(self, transitions: int) -> LabelRequest:
         """What is asked for where there are so many transitions: more than there are is all of them."""
-        return LabelRequest("share", 1) if self.kind == "count" and self.amount > transitions else self
+        return LabelRequest("share", 1) if self._exceeds(transitions) else self
+
+    def require_of(self, transitions: int) -> None:
+        """Refuse a number of labels that is larger than that of the transitions of a data set.
+
+        Raises:
+            UsageError: It is.
+        """
+        if self._exceeds(transitions):
+            raise UsageError(
+                f"'--labels {self}' asks for more labelled transitions than the data set has, {transitions:,}; give a "
+                "smaller number, or '--labels all'."
+            )
+
+    def _exceeds(self, transitions: int) -> bool:
+        return self.kind == "count" and self.amount > transitions
 
     @classmethod
     def for_model(

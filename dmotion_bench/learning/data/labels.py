@@ -32,6 +32,11 @@ HELD_BACK = 8
 A budget of 2 to 15 holds back one. One of 1 has none to spare, so that the training validates with it, too.
 """
 
+NOTHING_TO_DEMONSTRATE = (
+    "the actions of this data set are not known, so there is nothing to demonstrate; train without labels "
+    "(--labels none), or import the recording again with '--actions TOPIC'."
+)
+
 
 def _hand_in_hand(spec: Discrete, shown: set[int]) -> bool:
     """Whether each action of an agent always comes with the same action of another, and the reverse."""
@@ -165,10 +170,7 @@ class LabelBudget:
             raise LabelsNotAvailable(f"the budget {self.request} has no demonstrations; ask for --labels one-shot.")
         spec = self._dataset.spec.actions
         if spec is None:
-            raise LabelsNotAvailable(
-                "the actions of this data set are not known, so there is nothing to demonstrate; train without labels "
-                "(--labels none), or import the recording again with '--actions TOPIC'."
-            )
+            raise LabelsNotAvailable(NOTHING_TO_DEMONSTRATE)
         self._require_room(triplets, self._fewest(len(triplets), spec))
         order = triplets.shuffled(np.random.default_rng(np.random.SeedSequence(self._seed, spawn_key=(draw,))))
         if self.request.kind in ("count", "share"):

@@ -3,6 +3,7 @@
 ::
 
     start.py          a user's request becomes a run
+    own_data.py       the data set of a run, by its path or its fingerprint
     run.py            the run's folder: its request, its progress and its trained model
     manifest.py       ``run.json``
     checkpoint.py     weights and facts in one safetensors file

@@ -34,6 +34,7 @@ from dmotion_bench.learning.hardware.precision import AUTO
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs import checkpoint
 from dmotion_bench.learning.runs.manifest import ACTION_NAMES, RUN_FORMAT, Conditions, RunSpec, read_manifest
+from dmotion_bench.learning.runs.own_data import find_own_data
 from dmotion_bench.learning.runs.source import changed_modules, code_of
 from dmotion_bench.learning.settings import from_json
 from dmotion_bench.storage.atomic import write_atomically
@@ -41,7 +42,7 @@ from dmotion_bench.storage.links import require_no_link_out
 from dmotion_bench.storage.remote_copy import copy_folder
 from dmotion_bench.versions import versions, with_earlier
 from dmotion_bench.wording import command, shown
-from dmotion_bench.workspace import DATASET_MANIFEST, RUN_MANIFEST, AnyPath
+from dmotion_bench.workspace import RUN_MANIFEST, AnyPath
 
 __all__ = ["Conditions", "Run", "RunSpec"]
 
@@ -201,6 +202,8 @@ class Run:
     def dataset_path(self) -> Path:
         """Where the data set is: in the run's own workspace, which may have moved, or where it was.
 
+        One of another name is found there by its fingerprint.
+
         An address is only followed to a place that was opened from here before: the run may come from anybody.
 
         Raises:
@@ -216,10 +219,8 @@ class Run:
         given = Path(self.manifest["dataset_path"])
         workspaces = [path.parent.parent for path in (self.path.resolve(), self.path.absolute())]  # it may be a link
         inside = [workspace / given for workspace in workspaces]
-        for candidate in (*inside, given, *(workspace / "data" / given.name for workspace in workspaces)):
-            if (candidate / DATASET_MANIFEST).is_file():
-                return candidate
-        return given
+        named = (*inside, given, *(workspace / "data" / given.name for workspace in workspaces))
+        return find_own_data(named, workspaces, self.spec.fingerprint) or given
 
     @property
     def result(self) -> dict[str, Any] | None:

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import InvalidSetting, UnknownName, UsageError
-from dmotion_bench.learning.data.curriculum import TrainingData, held_for_validation
+from dmotion_bench.errors import InvalidSetting, LabelsNotAvailable, UnknownName, UsageError
+from dmotion_bench.learning.data.curriculum import TrainingData, held_for_validation, labels_given
 from dmotion_bench.learning.data.label_request import LabelRequest
-from dmotion_bench.learning.data.labels import LabelBudget
+from dmotion_bench.learning.data.labels import NOTHING_TO_DEMONSTRATE, LabelBudget
 from dmotion_bench.learning.data.streamed import LOADERS, WINDOW, StreamedTriplets
 from dmotion_bench.learning.data.triplets import SplitProtocol, TripletSet
 from dmotion_bench.learning.model import TrainingConfig
@@ -68,18 +68,13 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         UnknownName: Of the model or its architecture.
         InvalidSetting: Of a setting or the label budget.
         UsageError: The budget is not one that the model can use.
+        LabelsNotAvailable: The budget asks for labels, and the actions of the data set are not known.
     """
     kind = model_class(request.model)
-    arch = request.arch or kind.architectures[0]
+    arch = kind.architectures[0] if request.arch is None else request.arch
     if arch not in kind.architectures:
         raise UnknownName(f"architecture of {request.model}", arch, kind.architectures)
-    labels = LabelRequest.for_model(request.model, kind.supervision, request.labels, dataset.spec.actions)
-    if dataset.spec.actions is None:
-        if kind.supervision is not Supervision.NONE:
-            raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
-        if request.labels is None:
-            labels = LabelRequest("none")
-    labels = labels.of(int((dataset.lengths - 1).sum()))
+    labels = _labels(request, kind.supervision, dataset)
     preset = request.preset or _preset_of(dataset)
     if given := next((setting for setting in request.settings if setting.startswith("arch=")), None):
         raise UsageError(
@@ -103,6 +98,41 @@ def resolve(request: TrainingRequest, dataset: Dataset) -> RunSpec:
         width=dataset.spec.width,
         actions=stored_actions(dataset.spec.actions),
     )
+
+
+def _labels(request: TrainingRequest, supervision: Supervision, dataset: Dataset) -> LabelRequest:
+    """The label budget of a request; a number that is larger than the data set is all labels.
+
+    Raises:
+        InvalidSetting: It is none.
+        UsageError: It is not one that the model can use.
+        LabelsNotAvailable: It asks for labels of unknown actions.
+    """
+    actions = dataset.spec.actions
+    labels = LabelRequest.for_model(request.model, supervision, request.labels, actions)
+    if actions is None:
+        if supervision is not Supervision.NONE:
+            raise UsageError(f"{dataset.name!r} has no action labels; train a model that needs none, such as dmotion.")
+        if request.labels is None:
+            return LabelRequest("none")
+        if labels.kind != "none":
+            raise LabelsNotAvailable(NOTHING_TO_DEMONSTRATE)
+    return labels.of(_transitions(dataset))
+
+
+def require_enough(request: TrainingRequest, dataset: Dataset) -> None:
+    """Refuse a budget that somebody names and that is larger than the data set; one of a table is then all labels.
+
+    Raises:
+        UsageError: It is.
+        InvalidSetting: It is no budget.
+    """
+    if request.labels is not None:
+        LabelRequest.parse(request.labels).require_of(_transitions(dataset))
+
+
+def _transitions(dataset: Dataset) -> int:
+    return int((dataset.lengths - 1).sum())
 
 
 def _require_adaptable(
@@ -290,6 +320,17 @@ def training_data(run: Run, dataset: Dataset, loaders: int | None = None) -> Tra
         )
     budget = LabelBudget(dataset, LabelRequest.parse(run.spec.labels), run.spec.seed)
     return TrainingData(train=train, validation=validation, budget=budget)
+
+
+def require_labels(run: Run, dataset: Dataset, loaders: int | None = None) -> None:
+    """Refuse a run whose labels are not there, before anything of it is made; for the arguments see ``training_data``.
+
+    Raises:
+        LabelsNotAvailable: They are not there.
+        UsageError: As for ``training_data``.
+    """
+    data = training_data(run, dataset, loaders)
+    labels_given(data.train, data.validation, data.budget, model_class(run.spec.model).supervision)
 
 
 def prepare_frames(run: Run, dataset: Dataset) -> None:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import platform
+from collections.abc import Callable, Mapping
 from typing import Any, Final
 
 from dmotion_bench.errors import RunCorrupt, RunMissing
 from dmotion_bench.learning.runs.run import Run
 from dmotion_bench.learning.training.shared_pretraining import take_over
 from dmotion_bench.storage.lock import held
-from dmotion_bench.versions import DECIDING, versions, with_earlier
+from dmotion_bench.versions import DECIDING, differing, versions, with_earlier
 from dmotion_bench.wording import shown
 from dmotion_bench.workspace import RUN_MANIFEST
 
@@ -17,7 +18,10 @@ _MOST_NAMED: Final = 5
 
 
 def finished_result(
-    run: Run, note: Callable[[str], None] = lambda _: None, warn: Callable[[str], None] = lambda _: None
+    run: Run,
+    note: Callable[[str], None] = lambda _: None,
+    warn: Callable[[str], None] = lambda _: None,
+    ready: Callable[[], None] = lambda: None,
 ) -> dict[str, Any] | None:
     """The result of a run that is trained already; None if it is to be trained.
 
@@ -28,6 +32,8 @@ def finished_result(
     Args:
         run: Its folder may be changed.
         note, warn: Told in a sentence what was found; and that the model's code was changed since.
+        ready: Asked before the training of another run is taken over; raises what speaks against it, such as labels
+            that are not there.
 
     Raises:
         FolderInUse: Another training of the run is going on.
@@ -44,7 +50,7 @@ def finished_result(
             note(f"{run.path} is already trained; here is its result.")
             tell_changes(run, warn)
             return run.result
-    if (source := take_over(run)) is not None:
+    if (source := take_over(run, ready)) is not None:
         note(f"using the training of {source.path}, which differs only in its labels and what it does with them.")
         tell_changes(source, warn)
     elif run.last.exists():
@@ -81,6 +87,16 @@ def _tell_versions(run: Run, warn: Callable[[str], None]) -> None:
         warn(
             f"that training goes on with another version than it began with ({'; '.join(changed)}), so its weights are "
             f"those of neither alone; to train with one version, delete {shown(str(run.path))} first."
+        )
+
+
+def tell_machine(command: Mapping[str, str], warn: Callable[[str], None]) -> None:
+    """Warn that this machine trains with other versions than the machine of the command has, if it does."""
+    if (other := differing(command)) is not None:
+        here, there = other
+        warn(
+            f"the machine {shown(platform.node())} trains with {here}, and the one where the command was typed has "
+            f"{there}; weights depend on it. To compare trainings, install the same versions on all machines."
         )
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -39,11 +39,15 @@ def training_of(run: Run) -> str | None:
     return json.dumps(shared | {"threads": run.threads}, sort_keys=True)
 
 
-def take_over(run: Run) -> Run | None:
+def take_over(run: Run, ready: Callable[[], None] = lambda: None) -> Run | None:
     """Start a new run from the part of another run that needed no labels; the two differ only in their labels.
 
     ``run.json`` is written first and the checkpoint last. So a killed process leaves a run that has not begun, and the
     next one takes over the same training, or any other.
+
+    Args:
+        run: The new run.
+        ready: Asked before anything is written; raises what speaks against it.
 
     Returns:
         Whose training it was; None where there is none, or the run has one of its own.
@@ -57,6 +61,8 @@ def take_over(run: Run) -> Run | None:
     source, files = next(_sources(run), (None, {}))
     if source is None and "trained_as" not in run.manifest:
         return None
+    if source is not None:
+        ready()
     run.path.mkdir(parents=True, exist_ok=True)
     with held(run.path):
         run.read_again()

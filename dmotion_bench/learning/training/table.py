@@ -13,9 +13,10 @@ import contextlib
 import dataclasses
 import itertools
 import socket
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -33,16 +34,25 @@ from dmotion_bench.errors import (
 )
 from dmotion_bench.execution.executor import Executor
 from dmotion_bench.execution.job_progress import JobProgress, ProgressFile
+from dmotion_bench.execution.refusals import reason
 from dmotion_bench.learning.hardware.devices import launch
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.learning.runs.run import Run
-from dmotion_bench.learning.runs.start import TrainingRequest, default_path, open_run, resolve, training_data
-from dmotion_bench.learning.training.beginning import finished_result, is_finished
+from dmotion_bench.learning.runs.start import (
+    TrainingRequest,
+    default_path,
+    open_run,
+    require_labels,
+    resolve,
+    training_data,
+)
+from dmotion_bench.learning.training.beginning import finished_result, is_finished, tell_changes, tell_machine
 from dmotion_bench.learning.training.loop import train
 from dmotion_bench.learning.training.state import StepReport
 from dmotion_bench.registry import model_class, model_names
 from dmotion_bench.specs import Supervision
 from dmotion_bench.storage.dataset import Dataset
+from dmotion_bench.versions import deciding_versions
 from dmotion_bench.workspace import RUN_MANIFEST, Workspace
 
 SHOTS = ("one-shot", "5-shot", "20-shot")
@@ -83,12 +93,14 @@ class Outcome:
         run: Its run, where there is one.
         error: Why it failed, in a sentence; None if it did not.
         busy: Whether that is because another process trains the run now.
+        warnings: In sentences, what whoever trained it was warned of; empty where it was trained in turn.
     """
 
     row: Row
     run: Run | None
     error: str | None = None
     busy: bool = False
+    warnings: tuple[str, ...] = ()
 
 
 def budgets(kind: type[ForwardModel[Any]], actions: ActionSpec | None) -> tuple[str, ...]:
@@ -138,8 +150,7 @@ def train_table(
         except FolderInUse:
             yield Outcome(row=row, run=run, error="being trained by another process.", busy=True)
         except Exception as error:  # a stranger's model may raise anything; the others are to be trained
-            told = isinstance(error, DmbenchError)
-            yield Outcome(row=row, run=run, error=str(error) if told else f"{type(error).__name__}: {error}")
+            yield Outcome(row=row, run=run, error=reason(error))
         else:
             yield Outcome(row=row, run=run)
 
@@ -156,6 +167,7 @@ class TableJob:
         progress: The file in which it says how far it is; None: nowhere.
         trackers: See ``train``.
         loaders: Threads that read the compressed files of a run that streams them; None for the usual number.
+        versions: Of the packages that decide weights, where the command runs.
     """
 
     request: TrainingRequest
@@ -167,6 +179,7 @@ class TableJob:
     progress: Path | None
     trackers: tuple[str, ...] = ()
     loaders: int | None = None
+    versions: Mapping[str, str] = field(default_factory=deciding_versions)
 
 
 def _dataset_here(job: TableJob) -> Dataset:
@@ -191,17 +204,18 @@ class RowResult:
 
     Attributes:
         path: The folder of the run, where there is one.
-        row, error, busy: See ``Outcome``.
+        row, error, busy, warnings: See ``Outcome``.
     """
 
     row: Row
     path: Path | None
     error: str | None
     busy: bool = False
+    warnings: tuple[str, ...] = ()
 
     def outcome(self) -> Outcome:
         """The outcome, on a machine that sees the run."""
-        return Outcome(row=self.row, run=self._run(), error=self.error, busy=self.busy)
+        return Outcome(row=self.row, run=self._run(), error=self.error, busy=self.busy, warnings=self.warnings)
 
     def _run(self) -> Run | None:
         """None, too, if the row failed so early that the run was not written."""
@@ -234,13 +248,16 @@ def train_rows(
 
 def _rows_trained(job: TableJob, around: Callable[[Run], AbstractContextManager[object]]) -> list[RowResult]:
     told = ProgressFile(job.progress)
+    warnings = defaultdict[Path | None, list[str]](list)
     try:
         dataset = _dataset_here(job)
     except DatasetError as error:
         return [RowResult(row=row, path=None, error=str(error)) for row in job.rows]
 
     def complete(run: Run) -> None:
-        if finished_result(run) is None:
+        warn = warnings[run.path].append
+        if finished_result(run, ready=lambda: require_labels(run, dataset, job.loaders), warn=warn) is None:
+            tell_machine(job.versions, warn)
             fabric = launch(job.device)
             with around(run):
                 data = training_data(run, dataset, job.loaders)
@@ -250,10 +267,13 @@ def _rows_trained(job: TableJob, around: Callable[[Run], AbstractContextManager[
         outcomes = list(train_table(job.request, dataset, Workspace(job.workspace), complete, job.rows))
     finally:
         told.end()
-    return [
-        RowResult(row=one.row, path=None if one.run is None else one.run.path, error=one.error, busy=one.busy)
-        for one in outcomes
-    ]
+    results = []
+    for one in outcomes:
+        path = None if one.run is None else one.run.path
+        results.append(
+            RowResult(row=one.row, path=path, error=one.error, busy=one.busy, warnings=tuple(warnings[path]))
+        )
+    return results
 
 
 def train_side_by_side(
@@ -323,7 +343,9 @@ def _if_all_trained(
                 return []
         except Exception:  # whatever it is, of a stranger's model too: the job meets it again and says it
             return []
-        outcomes.append(Outcome(row=row, run=run))
+        warnings: list[str] = []
+        tell_changes(run, warnings.append)
+        outcomes.append(Outcome(row=row, run=run, warnings=tuple(warnings)))
     return outcomes
 
 
@@ -345,11 +367,14 @@ def train_jobs(
         how: Does one; a function of a module, which other processes can import.
     """
     results = executor.map_unordered(how, jobs)
+    warned = set[str]()  # of a machine, which several jobs say
     with contextlib.closing(results):
         try:
             for found in results:
                 for one in found:
-                    yield one.outcome()
+                    new = tuple(told for told in one.warnings if told not in warned)
+                    warned.update(new)
+                    yield dataclasses.replace(one, warnings=new).outcome()
         except JobsLost as lost:
             for job in lost.jobs:
                 yield from _what_is_trained(job, lost)

@@ -8,6 +8,7 @@ moved there when it is whole, so a failed import leaves nothing behind.
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from dmotion_bench.errors import RecipeMismatch, UsageError
-from dmotion_bench.specs import SPLIT, DatasetRecipe, unplaced_labels
+from dmotion_bench.specs import SPLIT, DatasetRecipe, Scalar, unplaced_labels
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.storage.imports.confinement import Confinement
 from dmotion_bench.storage.imports.fitting import fitted
@@ -29,6 +30,7 @@ from dmotion_bench.storage.manifest import Manifest
 from dmotion_bench.storage.shard import Footage
 from dmotion_bench.storage.staging import staged, sweep
 from dmotion_bench.storage.writer import DatasetWriter
+from dmotion_bench.wording import shown
 from dmotion_bench.workspace import DATASET_MANIFEST
 
 UNFINISHED: Final = ".importing"
@@ -101,7 +103,7 @@ def _other(standing: DatasetRecipe, wanted: DatasetRecipe) -> str:
     alike = {key: value for key, value in known.items() if key not in _OF_SPLIT} | hashes
     alike |= {key: value for key, value in wanted.parameters.items() if key in _OF_SPLIT}
     if replace(standing, episodes=wanted.episodes, parameters=alike) != wanted:
-        return "a data set of other recordings or options"
+        return _other_request(standing, wanted)
     changed = [str(known[f"{FILE}{key.removeprefix(HASH)}"]) for key in hashes if hashes[key] != known[key]]
     if not changed and any(known.get(key) != wanted.parameters.get(key) for key in _OF_SPLIT):
         return (
@@ -117,6 +119,41 @@ def _other(standing: DatasetRecipe, wanted: DatasetRecipe) -> str:
         f"an import of {changed[0]!r}{more} with other contents: the files have changed since (of a LeRobot data set "
         "also if an earlier version of dmbench imported it, which did not compare the list of episodes)"
     )
+
+
+def _other_request(standing: DatasetRecipe, wanted: DatasetRecipe) -> str:
+    """In what another import was asked for, to follow "holds": first in recordings, as these decide most options."""
+    if standing.environment != wanted.environment:
+        return f"a data set recorded in {standing.environment!r}"
+    there, here = _options(standing), _options(wanted)
+    before, now = (Counter(str(name) for key, name in one.items() if key.startswith(FILE)) for one in (there, here))
+    for apart, which in ((now - before, "lacks"), (before - now, "has")):
+        if apart:
+            return f"an import of other recordings, which {which} {shown(min(apart))}"
+    differing = [
+        f"'--{name.removesuffix('_s').replace('_', '-')}' is {_given(there.get(name))} there and "
+        f"{_given(here.get(name))} here"
+        for name in here | there
+        if not name.startswith(FILE) and there.get(name) != here.get(name)
+    ]
+    if not differing:
+        return "an import of these recordings in another order"
+    return f"an import with other options: {'; '.join(differing)}"
+
+
+def _options(recipe: DatasetRecipe) -> dict[str, Scalar]:
+    """What an import was asked for, by the options' names; and the names of its files."""
+    asked = {
+        name: value for name, value in recipe.parameters.items() if name not in _OF_SPLIT and not name.startswith(HASH)
+    }
+    return asked | {"frames_per_episode": recipe.frames, "seed": recipe.seed}
+
+
+def _given(value: Scalar | None) -> str:
+    """An option as somebody gives it; what is empty was left out, but for the seed 0."""
+    if value is True:
+        return "given"
+    return shown(value) if value or type(value) is int else "left out"
 
 
 def _survey(recording: Recording, number: int, count: int, progress: Progress) -> Survey:

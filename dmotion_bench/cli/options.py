@@ -16,7 +16,7 @@ from dmotion_bench.cli.stdout import reserve_stdout
 if TYPE_CHECKING:
     from dmotion_bench.scoring.settings import Metric
 
-PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "icem-recall", "mppi", "random-shooting")
+PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "icem-farther", "icem-recall", "mppi", "random-shooting")
 OBJECTIVES: Final = (
     "centres",
     "feature",
@@ -51,9 +51,10 @@ PlannerName = Annotated[
     typer.Option(
         metavar=listed(PLANNERS),
         help="How control searches for actions. cem is the paper's cross-entropy method, icem a newer variant of it, "
-        "icem-recall the same with what was seen earlier in the task in place of predictions, random-shooting draws "
-        "sequences once. exhaustive tries every sequence of discrete actions; mppi and gradient are for continuous "
-        "ones. A package of your own can add others. Default: cem.",
+        "icem-farther looks farther ahead where no plan gains anything, icem-recall puts what was seen earlier in the "
+        "task in the place of predictions, random-shooting draws sequences once. exhaustive tries every sequence of "
+        "discrete actions; mppi and gradient are for continuous ones. A package of your own can add others. Default: "
+        "cem.",
     ),
 ]
 PlannerSettings = Annotated[

@@ -29,6 +29,7 @@ _PATIENCE: Final = {"slurm": 90.0, "local": 0.0}
 _DOUBTFUL: Final = ("UNKNOWN", "PREEMPTED")
 """States in which submitit waits for a job, although it may never come back."""
 _ASK_AGAIN: Final = {"slurm": 30.0}  # [s] between two questions to Slurm's queue
+_ANSWER_WITHIN: Final = 60.0  # [s] for Slurm's queue
 _LOG_END: Final = 4096  # bytes of a log that are read
 _LAST_WORDS: Final = 300  # characters of them that are said
 _GOODBYE: Final = 10.0  # [s] for cancelled processes on this machine to end
@@ -182,8 +183,11 @@ class SlurmExecutor:
     def _missing(self, running: Sequence[_Submitted[Job]]) -> set[str]:
         """The numbers of the jobs that Slurm's queue does not have; none where it does not answer."""
         words = ["squeue", "--noheader", "--array", "--format=%i", f"--name={_NAME}", f"--user={os.getuid()}"]
-        asked = subprocess.run(words, check=False, capture_output=True, text=True)
-        return set() if asked.returncode else {one.handle.job_id for one in running} - set(asked.stdout.split())
+        try:
+            asked = subprocess.run(words, check=True, capture_output=True, text=True, timeout=_ANSWER_WITHIN)
+        except subprocess.SubprocessError:
+            return set()
+        return {one.handle.job_id for one in running} - set(asked.stdout.split())
 
     def _result(self, one: _Submitted[Job]) -> Any:
         try:

@@ -95,7 +95,28 @@ def test_a_plan_is_carried_out_between_searches() -> None:
     assert carried.action.tolist() == plan.memory[:, 0, 1].tolist()
 
 
-@pytest.mark.parametrize("setting", ["scales=0", "least_gain=-0.1", "least_gain=1"])
+def between(memory: Any) -> Plan:
+    """The plan of the step after a search with longer horizons, whose best sequence leads 10 steps to the right."""
+    walks = PlateauWalks((10,), np.array([[1, 0]]))
+    given = context(1, memory=memory)
+    solver = FartherCrossEntropy(horizon=3, samples=30, elites=5, cost_at="last")
+    return walks.plan(solver, replace(given, observation=replace(given.observation, step=1)))
+
+
+def test_a_long_plan_is_carried_on_between_searches() -> None:
+    right, left = 3, 2
+    known = np.full((1, 5, 12), right)
+    known[:, 1:] = left
+    plan = between(known)
+    assert plan.action.tolist() == [right]
+    assert plan.costs[:, 0].tolist() == [0]
+    assert plan.memory is not None
+    assert (plan.memory == right).all()
+    assert plan.candidates.shape == (1, 5, 3)
+    assert between(np.full((1, 5, 12), left)).costs[:, 0].tolist() == [1]  # and nothing longer is searched for
+
+
+@pytest.mark.parametrize("setting", ["scales=0", "farther_every=0", "least_gain=-0.1", "least_gain=1"])
 def test_settings_that_cannot_be_are_refused(setting: str) -> None:
     with pytest.raises(InvalidSetting, match=setting.partition("=")[0]):
         make_solver("icem-farther", [setting])

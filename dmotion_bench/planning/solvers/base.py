@@ -16,6 +16,9 @@ from dmotion_bench.planning.objectives.base import Evaluator
 Sequences = Int[np.ndarray, "b _s t"] | Float[np.ndarray, "b _s t a"]
 """Some sequences of actions for each task: of numbers, or of continuous actions in [-1, 1]; any number of them."""
 
+Remembered = Int[np.ndarray, "b _s _t"] | Float[np.ndarray, "b _s _t a"]
+"""Such sequences, which may be longer than others."""
+
 
 ROUNDING: Final = 1e-6
 """By how much a number of a continuous action may lie beyond [-1, 1]."""
@@ -43,7 +46,7 @@ class PlanContext:
     observation: Observation
     generators: tuple[np.random.Generator, ...]
     blocked: Bool[np.ndarray, "b discrete"]
-    memory: Sequences | None = None
+    memory: Remembered | None = None
     experience: Experience | None = None
 
 
@@ -66,7 +69,7 @@ class Plan:
     costs: Float[np.ndarray, "b m"]
     progress: Float[np.ndarray, "b i"]
     frames: int
-    memory: Sequences | None = None
+    memory: Remembered | None = None
     parts: Mapping[str, Float[np.ndarray, "b m"]] = field(default_factory=dict)
 
 

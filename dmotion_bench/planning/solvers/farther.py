@@ -2,7 +2,8 @@
 
 What is out of reach within the horizon costs the same whatever is done, so no plan is better than another. Then twice
 as many steps are looked ahead and each chosen action is held for twice as long; then four times. So as many choices
-reach farther, and a model's mistakes over many steps count only where few steps promise nothing.
+reach farther, and a model's mistakes over many steps count only where few steps promise nothing. Such searches are
+dear, and most are in vain, so they are made every few steps; a long plan that was found is carried on between them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 
 from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.planning.dynamics.base import Dynamics
@@ -31,14 +32,18 @@ class FartherCrossEntropy(ImprovedCrossEntropy):
     Attributes:
         scales: How many horizons: ``horizon`` steps, twice as many, four times, ...; actions are held likewise.
         least_gain: What a plan must gain.
+        farther_every: Steps from one search with longer horizons to the next; between them the best sequence of the
+            step before, as long as the longest horizon, is tried where near plans do not gain enough. It is known if
+            ``kept_elites`` is not 0.
     """
 
     scales: int = 3
     least_gain: float = 0.05
+    farther_every: int = 5
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        require_bounds(self, from_one=("scales",), from_zero=("least_gain",), below_one=("least_gain",))
+        require_bounds(self, from_one=("scales", "farther_every"), from_zero=("least_gain",), below_one=("least_gain",))
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """Search within the horizon, and farther for tasks where that gains too little.
@@ -52,7 +57,11 @@ class FartherCrossEntropy(ImprovedCrossEntropy):
         near = search(dynamics, evaluator, context.observation, 1)
         left = np.median(near.costs(_single_actions(dynamics.actions, tasks))[:, :, 0], axis=1)
         enough = (1 - self.least_gain) * left
-        plan = replace(plan, frames=plan.frames + near.frames)
+        plan = self._carried_farther(
+            replace(plan, frames=plan.frames + near.frames), enough, dynamics, evaluator, context
+        )
+        if context.observation.step % self.farther_every:
+            return plan
         for power in range(1, self.scales):
             stuck = plan.costs[:, 0] > enough
             if not stuck.any():
@@ -60,6 +69,28 @@ class FartherCrossEntropy(ImprovedCrossEntropy):
             far = self._within(2**power, stuck, dynamics, evaluator, context)
             plan = _exchanged(plan, far, stuck & (far.costs[:, 0] <= enough))
         return plan
+
+    def _carried_farther(
+        self,
+        plan: Plan,
+        enough: Float[np.ndarray, " b"],
+        dynamics: Dynamics,
+        evaluator: Evaluator,
+        context: PlanContext,
+    ) -> Plan:
+        """A plan with the best long sequence of the step before in its place, in tasks where only that gains enough."""
+        stuck = plan.costs[:, 0] > enough
+        if context.memory is None or not self.kept_elites or not stuck.any():
+            return plan
+        known = np.where(_beside(stuck, context.memory), context.memory, 0)[:, :1]
+        sought = search(dynamics, evaluator, context.observation, known.shape[2])
+        best, costs = self._warm_start(dynamics, replace(context, memory=known), sought)
+        carried = sought.plan(best, costs, [costs[:, 0]], cheapest=self._step_of(sought.costs(best)), memory=best)
+        return _exchanged(plan, self._cut(carried), stuck & (costs[:, 0] <= enough))
+
+    def _cut(self, plan: Plan) -> Plan:
+        """A plan whose candidates are as long as the nearest horizon."""
+        return replace(plan, candidates=plan.candidates[:, :, : self.horizon])
 
     def _within(
         self,
@@ -80,7 +111,7 @@ class FartherCrossEntropy(ImprovedCrossEntropy):
         if memory is not None:
             lacking = self.horizon * 2 ** (self.scales - 1) - memory.shape[2]
             memory = np.concatenate([memory, memory[:, :, -1:].repeat(lacking, axis=2)], axis=2)
-        return replace(plan, candidates=plan.candidates[:, :, : self.horizon], memory=memory)
+        return self._cut(replace(plan, memory=memory))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,10 +140,10 @@ def _single_actions(spec: ActionSpec, tasks: int) -> Any:
 
 
 def _exchanged(plan: Plan, other: Plan, chosen: Bool[np.ndarray, " b"]) -> Plan:
-    """A plan with another one in its place for the chosen tasks."""
+    """A plan with another one in its place for the chosen tasks; of one candidate, it fills all places."""
 
     def mixed(one: Any, two: Any) -> Any:
-        return np.where(chosen.reshape(-1, *(1,) * (one.ndim - 1)), two, one)
+        return np.where(_beside(chosen, one), two, one)
 
     return replace(
         plan,
@@ -124,3 +155,8 @@ def _exchanged(plan: Plan, other: Plan, chosen: Bool[np.ndarray, " b"]) -> Plan:
         memory=None if plan.memory is None else mixed(plan.memory, other.memory),
         frames=plan.frames + other.frames,
     )
+
+
+def _beside(tasks: Bool[np.ndarray, " b"], array: Any) -> Bool[np.ndarray, "b *_ones"]:
+    """A truth for each task, in the shape that fits beside an array with a row for each."""
+    return tasks.reshape(-1, *(1,) * (array.ndim - 1))

@@ -76,8 +76,8 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
         option: Of the command line that they were given with.
 
     Raises:
-        InvalidSetting: No config has the key (the closest is named), it is set twice, the value is not of its type, the
-            config refuses it, or it would do nothing (``only_with``).
+        InvalidSetting: No config has the key (the closest is named), the value is not of its type, the config refuses
+            it, or it would do nothing (``only_with``).
     """
     owners = {name: place for place, config in reversed(list(enumerate(configs))) for name in _fields(config)}
     changes: list[dict[str, Any]] = [{} for _ in configs]
@@ -90,8 +90,6 @@ def with_settings(settings: Sequence[str], *configs: Any, option: str = "--set")
             hint = f"did you mean {near[0]!r}?" if near else f"known: {', '.join(sorted(owners))}."
             raise InvalidSetting(f"no setting named {key!r}; {hint}")
         place = owners[key]
-        if key in changes[place]:
-            raise InvalidSetting(f"{option} sets {key} twice; set it once.")
         changes[place][key] = _value(key, text, _fields(configs[place])[key])
     try:
         made = [dataclasses.replace(config, **change) for config, change in zip(configs, changes, strict=True)]

@@ -116,7 +116,7 @@ def parse_parameters(environment: str, kind: type[Environment], settings: Sequen
 
     Raises:
         UnknownName: It takes none of this name.
-        InvalidSetting: The value is not of its type, or one is set twice.
+        InvalidSetting: The value is not of its type.
     """
     known, more = _parameters(kind)
     found: dict[str, Scalar] = {}
@@ -126,8 +126,6 @@ def parse_parameters(environment: str, kind: type[Environment], settings: Sequen
             raise InvalidSetting(f"--set {setting!r} has no value; write --set {key}=VALUE.")
         if key in _OPTIONS and key in known:
             raise InvalidSetting(f"{key} is no setting; say '{_OPTIONS[key]} {text}'.")
-        if key in found:
-            raise InvalidSetting(f"--set sets {key} twice; set it once.")
         names = [name for name in known if name not in _OPTIONS]
         if key not in names and (not more or key == _NOT_RECORDED):
             raise UnknownName(f"setting of {environment}", key, names)

@@ -13,8 +13,7 @@ from baselines.dmotion import DMotionConfig
 from dmotion_bench.errors import InvalidSetting
 from dmotion_bench.learning.model import TrainingConfig
 from dmotion_bench.learning.settings import from_json, to_json, with_settings
-from dmotion_bench.recording.preset import parse_parameters
-from dmotion_bench.registry import environment_class, model_class
+from dmotion_bench.registry import model_class
 
 
 def test_each_key_goes_to_the_config_that_has_it() -> None:
@@ -26,13 +25,6 @@ def test_each_key_goes_to_the_config_that_has_it() -> None:
     assert (config.maps, config.second_frame, config.transform) == (4, False, "affine")
     assert config.agent_entries == 1  # the number, not its text
     assert training.learning_rate == 0.01
-
-
-def test_a_setting_that_is_set_twice_is_refused() -> None:
-    with pytest.raises(InvalidSetting, match="--planner-set sets maps twice; set it once"):
-        with_settings(["maps=2", "maps=3"], DMotionConfig(), option="--planner-set")
-    with pytest.raises(InvalidSetting, match="--set sets version twice; set it once"):
-        parse_parameters("grid_world", environment_class("grid_world"), ["version=1", "version=2"])
 
 
 @pytest.mark.parametrize(

@@ -97,7 +97,16 @@ class CrossEntropy:
         """Draw sequences, compute their costs and refit the distribution, ``iterations`` times; or carry on a plan."""
         if context.memory is not None and context.observation.step % self.replan_every:
             return carried_on(context.memory)
-        sought = search(dynamics, evaluator, context.observation, self.horizon)
+        sought = search(dynamics, evaluator, context.observation, self._farthest)
+        return self._planned(sought, dynamics, context)
+
+    @property
+    def _farthest(self) -> int:
+        """Steps that the search looks ahead at most."""
+        return self.horizon
+
+    def _planned(self, sought: Search, dynamics: Dynamics, context: PlanContext) -> Plan:
+        """The plan that a search comes to."""
         best, price = self._warm_start(dynamics, context, sought)
         proposal = self._proposal(dynamics, context, best)
         progress = []

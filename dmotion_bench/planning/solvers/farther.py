@@ -8,7 +8,7 @@ dear, and most are in vain, so they are made every few steps; a long plan that w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -16,10 +16,10 @@ from jaxtyping import Bool, Float
 
 from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.planning.dynamics.base import Dynamics
-from dmotion_bench.planning.objectives.base import Evaluator
 from dmotion_bench.planning.solvers.base import Plan, PlanContext
 from dmotion_bench.planning.solvers.icem import ImprovedCrossEntropy
-from dmotion_bench.planning.solvers.proposals import Categorical, Gaussian, search
+from dmotion_bench.planning.solvers.proposals import Categorical, Gaussian
+from dmotion_bench.planning.solvers.search import Search
 from dmotion_bench.values import require_bounds
 
 
@@ -45,73 +45,59 @@ class FartherCrossEntropy(ImprovedCrossEntropy):
         super().__post_init__()
         require_bounds(self, from_one=("scales", "farther_every"), from_zero=("least_gain",), below_one=("least_gain",))
 
-    def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
-        """Search within the horizon, and farther for tasks where that gains too little.
+    @property
+    def _farthest(self) -> int:
+        steps: int = self.horizon * 2 ** (self.scales - 1)
+        return steps
 
-        The candidates that are shown are cut off at ``horizon``.
+    def _planned(self, sought: Search, dynamics: Dynamics, context: PlanContext) -> Plan:
+        """The plan of the nearest horizon that gains enough; the candidates that are shown are cut off at ``horizon``.
+
+        All horizons share their predictions.
         """
         tasks = len(context.generators)
-        plan = self._within(1, np.ones(tasks, np.bool_), dynamics, evaluator, context)
-        if not plan.frames:  # an earlier plan is carried out
-            return plan
-        near = search(dynamics, evaluator, context.observation, 1)
-        left = np.median(near.costs(_single_actions(dynamics.actions, tasks))[:, :, 0], axis=1)
+        plan = self._within(1, np.ones(tasks, np.bool_), sought, dynamics, context)
+        left = np.median(sought.costs(_single_actions(dynamics.actions, tasks))[:, :, 0], axis=1)
         enough = (1 - self.least_gain) * left
-        plan = self._carried_farther(
-            replace(plan, frames=plan.frames + near.frames), enough, dynamics, evaluator, context
-        )
-        if context.observation.step % self.farther_every:
-            return plan
-        for power in range(1, self.scales):
-            stuck = plan.costs[:, 0] > enough
-            if not stuck.any():
-                break
-            far = self._within(2**power, stuck, dynamics, evaluator, context)
-            plan = _exchanged(plan, far, stuck & (far.costs[:, 0] <= enough))
-        return plan
+        plan = self._carried_farther(plan, enough, sought, dynamics, context)
+        if not context.observation.step % self.farther_every:
+            for power in range(1, self.scales):
+                stuck = plan.costs[:, 0] > enough
+                if not stuck.any():
+                    break
+                far = self._within(2**power, stuck, sought, dynamics, context)
+                plan = _exchanged(plan, far, stuck & (far.costs[:, 0] <= enough))
+        return replace(plan, candidates=plan.candidates[:, :, : self.horizon], frames=sought.frames)
 
     def _carried_farther(
-        self,
-        plan: Plan,
-        enough: Float[np.ndarray, " b"],
-        dynamics: Dynamics,
-        evaluator: Evaluator,
-        context: PlanContext,
+        self, plan: Plan, enough: Float[np.ndarray, " b"], sought: Search, dynamics: Dynamics, context: PlanContext
     ) -> Plan:
         """A plan with the best long sequence of the step before in its place, in tasks where only that gains enough."""
         stuck = plan.costs[:, 0] > enough
         if context.memory is None or not self.kept_elites or not stuck.any():
             return plan
         known = np.where(_beside(stuck, context.memory), context.memory, 0)[:, :1]
-        sought = search(dynamics, evaluator, context.observation, known.shape[2])
         best, costs = self._warm_start(dynamics, replace(context, memory=known), sought)
         carried = sought.plan(best, costs, [costs[:, 0]], cheapest=self._step_of(sought.costs(best)), memory=best)
-        return _exchanged(plan, self._cut(carried), stuck & (costs[:, 0] <= enough))
-
-    def _cut(self, plan: Plan) -> Plan:
-        """A plan whose candidates are as long as the nearest horizon."""
-        return replace(plan, candidates=plan.candidates[:, :, : self.horizon])
+        return _exchanged(plan, carried, stuck & (costs[:, 0] <= enough))
 
     def _within(
-        self,
-        scale: int,
-        searching: Bool[np.ndarray, " b"],
-        dynamics: Dynamics,
-        evaluator: Evaluator,
-        context: PlanContext,
+        self, scale: int, searching: Bool[np.ndarray, " b"], sought: Search, dynamics: Dynamics, context: PlanContext
     ) -> Plan:
-        """The plan of one horizon, for the tasks that search; its memory is as long as the longest horizon."""
+        """The plan of one horizon, for the tasks that search."""
         own = {one.name: getattr(self, one.name) for one in fields(ImprovedCrossEntropy)}
         own |= {"horizon": self.horizon * scale, "hold": self.hold * scale}
         solver = _CrossEntropyOfSome(**own, searching=searching)
         if context.memory is not None:
             context = replace(context, memory=context.memory[:, :, : solver.horizon])
-        plan = solver.plan(dynamics, evaluator, context)
-        memory = plan.memory
-        if memory is not None:
-            lacking = self.horizon * 2 ** (self.scales - 1) - memory.shape[2]
-            memory = np.concatenate([memory, memory[:, :, -1:].repeat(lacking, axis=2)], axis=2)
-        return self._cut(replace(plan, memory=memory))
+        plan = solver._planned(sought, dynamics, context)
+        memory = None if plan.memory is None else self._lengthened(plan.memory)
+        return replace(plan, candidates=self._lengthened(plan.candidates), memory=memory)
+
+    def _lengthened(self, sequences: Any) -> Any:
+        """Sequences as long as the farthest horizon, with the last action repeated."""
+        lacking = self._farthest - sequences.shape[2]
+        return np.concatenate([sequences, sequences[:, :, -1:].repeat(lacking, axis=2)], axis=2)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -122,7 +108,7 @@ class _CrossEntropyOfSome(ImprovedCrossEntropy):
         searching: Whether each task is searched.
     """
 
-    searching: Any = field(compare=False)
+    searching: Any
 
     def _drawn(self, proposal: Categorical | Gaussian, context: PlanContext, heat: float) -> Any:
         drawn = super()._drawn(proposal, context, heat)
@@ -153,7 +139,6 @@ def _exchanged(plan: Plan, other: Plan, chosen: Bool[np.ndarray, " b"]) -> Plan:
         },
         parts={name: mixed(part, other.parts[name]) for name, part in plan.parts.items()},
         memory=None if plan.memory is None else mixed(plan.memory, other.memory),
-        frames=plan.frames + other.frames,
     )
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
+import itertools
 import json
 import os
 import shutil
@@ -11,6 +13,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
+from unittest import mock
 
 import pyarrow as pa
 import torch
@@ -250,29 +253,20 @@ def forge(path: Path, *, everything: bool) -> None:
         return
 
 
-class _interrupted:  # noqa: N801 (a context)
+@contextlib.contextmanager
+def _interrupted(after: int) -> Iterator[None]:
     """Ctrl-C after so many steps of a training."""
+    from dmotion_bench.learning.training.state import TrainingState
 
-    def __init__(self, steps: int) -> None:
-        self.steps = steps
+    tell, steps = TrainingState.report, itertools.count(1)
 
-    def __enter__(self) -> None:
-        from dmotion_bench.learning.training import state as training
+    def report(*told: Any) -> Any:
+        if next(steps) == after:
+            os.kill(os.getpid(), 2)
+        return tell(*told)
 
-        self.before, count = training.StepReport, [0]
-
-        def report(**values: Any) -> Any:
-            count[0] += 1
-            if count[0] == self.steps:
-                os.kill(os.getpid(), 2)
-            return self.before(**values)
-
-        training.StepReport = report  # type: ignore[misc, assignment]
-
-    def __exit__(self, *_: object) -> None:
-        from dmotion_bench.learning.training import state as training
-
-        training.StepReport = self.before  # type: ignore[misc]
+    with mock.patch.object(TrainingState, "report", report):
+        yield
 
 
 def remove(path: Path) -> None:

@@ -182,7 +182,7 @@ def _is_scored(path: Path, scoring: Scoring) -> bool:
 def has_figures(path: Path, scoring: Scoring) -> bool:
     """Whether the report of a run has all figures of a column, whatever references stand beside them."""
     try:
-        return all(is_scored(path, metric, scoring.settings, scoring.data) for metric in scoring.metrics())
+        return is_scored(path, scoring.metrics(), scoring.settings, scoring.data)
     except DmbenchError:
         return False
 

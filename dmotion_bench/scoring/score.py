@@ -302,7 +302,7 @@ def _asked(
     return metrics, settings, lacking
 
 
-def is_up_to_date(
+def is_scored(
     path: AnyPath, metrics: tuple[Metric, ...] | None, settings: ScoreSettings, data: AnyPath | None = None
 ) -> bool:
     """Whether a run's report holds all that ``score_run`` would be asked for; nothing is written.
@@ -367,15 +367,3 @@ def scored_report(path: AnyPath, split: SplitName, data: AnyPath | None = None, 
     if report is None:
         raise RunMissing(f"the run {run.name!r} has no report; score it with 'dmbench score'.")
     return report
-
-
-def is_scored(path: AnyPath, metric: Metric, settings: ScoreSettings, data: AnyPath | None = None) -> bool:
-    """Whether a run's report has a group of figures that scoring now would give again.
-
-    Raises:
-        As ``score_run``.
-    """
-    run = Run.open(path)
-    dataset, folder = scored_data(run, settings.split, data, settings.control.column)
-    report, _ = standing_report(folder, run, dataset)
-    return report is not None and metric in true_groups(run, dataset, report, settings, (metric,))

@@ -33,7 +33,7 @@ from dmotion_bench.planning.mpc import ControlProgress
 from dmotion_bench.scoring.control import score_control
 from dmotion_bench.scoring.kept_control import share_of
 from dmotion_bench.scoring.prediction import Execution
-from dmotion_bench.scoring.score import CONTROL_JOURNAL, is_scored, is_up_to_date, score_run, scored_data
+from dmotion_bench.scoring.score import CONTROL_JOURNAL, is_scored, score_run, scored_data
 from dmotion_bench.scoring.settings import Metric, ScoreSettings
 from dmotion_bench.scoring.shared_samples import SharedSamples
 from dmotion_bench.storage.lock import in_turn
@@ -120,7 +120,7 @@ def score_job(job: ScoreJob) -> ScoreOutcome:
 def settled_already(job: ScoreJob) -> ScoreOutcome | None:
     """The outcome of a run's job that would compute nothing; None if somebody has to do it."""
     try:
-        if not job.renew and is_up_to_date(job.run, job.metrics, job.settings, job.data):
+        if not job.renew and is_scored(job.run, job.metrics, job.settings, job.data):
             return ScoreOutcome(run=job.run)
     except RunMismatch as error:
         return ScoreOutcome(run=job.run, error=str(error), unfit=True)
@@ -175,7 +175,7 @@ def control_shares(job: ScoreJob) -> Iterator[ScoreJob]:
     if job.settings.control.column is None and (job.metrics is None or "control" not in job.metrics):
         return
     with contextlib.suppress(DmbenchError):  # said when the run is scored
-        if not job.renew and is_scored(job.run, "control", job.settings, job.data):
+        if not job.renew and is_scored(job.run, ("control",), job.settings, job.data):
             return
         data, _ = scored_data(Run.open(job.run), job.settings.split, job.data, job.settings.control.column)
         for numbers in job.settings.control.groups(len(data.tasks())):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import sys
 from pathlib import Path
@@ -13,7 +14,7 @@ from dmotion_bench.execution import slurm_executor
 _COMMANDS = {
     "sbatch": """
 text = Path(sys.argv[1]).read_text()
-job = 1000 + len(list(state.glob("script-*")))
+job = int((state / "first-job").read_text()) + len(list(state.glob("script-*")))
 (state / f"script-{job}").write_text(text)
 array = re.search(r"--array=0-(\\d+)%", text)
 for index in range(int(array[1]) + 1) if array else [None]:
@@ -61,6 +62,9 @@ for job in sys.argv[1:]:
 """,
 }
 
+_FIRST_JOBS = itertools.count(1000, 1000)
+"""One for each Slurm: submitit remembers what became of a number for as long as a process lives."""
+
 
 def use_slurm(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Put Slurm on the PATH; its disk shows at once what a job wrote, and is not waited for."""
@@ -72,9 +76,15 @@ def use_slurm(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def install_slurm(folder: Path) -> Path:
     """Put the commands into ``folder``/bin, to be set before the PATH; the scripts that they are given stay beside."""
     (folder / "bin").mkdir(parents=True)
+    (folder / "first-job").write_text(str(next(_FIRST_JOBS)))
     for name, body in _COMMANDS.items():
         head = f"#!{sys.executable}\nimport contextlib, os, re, signal, subprocess, sys\nfrom pathlib import Path\n"
         file = folder / "bin" / name
         file.write_text(f"{head}state = Path({str(folder)!r})\n{body}")
         file.chmod(0o755)
     return folder / "bin"
+
+
+def first_job(folder: Path) -> int:
+    """The number of the first job, or array of jobs, that is given to the Slurm in a folder."""
+    return int((folder / "first-job").read_text())

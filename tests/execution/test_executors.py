@@ -26,7 +26,7 @@ from mortal_workers import (
     raises_what_cannot_be_sent,
 )
 from noise_world import files_of
-from pretend_slurm import use_slurm
+from pretend_slurm import first_job, use_slurm
 
 from dmotion_bench import errors, interrupts
 from dmotion_bench.errors import DmbenchError, JobsLost, PackageNotInstalled, UnknownName
@@ -186,6 +186,12 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "slurm"
 
 
+def wait_until_none_runs() -> None:
+    """Until no job of the pretended Slurm runs any more, cancelled or not."""
+    while b"RUNNING" in subprocess.run(["sacct"], capture_output=True, check=True).stdout:
+        time.sleep(0.05)
+
+
 @needs_submitit
 def test_a_job_array_makes_the_same_bytes(tmp_path: Path, slurm: Path, at_once: dict[str, bytes]) -> None:
     record_dataset(tmp_path / "d", RECIPE, make_executor("slurm", 2, tmp_path / ".d-jobs"))
@@ -209,13 +215,13 @@ def test_what_slurm_refuses_is_a_sentence(tmp_path: Path, slurm: Path, capfd: py
 @needs_submitit
 @pytest.mark.parametrize(
     ("accounts", "state"),
-    [("exit 1", "forgotten"), ("echo 'JobID|State|NodeList'; echo '1000|PREEMPTED|'", "preempted")],
+    [("exit 1", "forgotten"), ("echo 'JobID|State|NodeList'; echo '{job}|PREEMPTED|'", "preempted")],
 )
 def test_a_job_that_slurm_s_accounts_lose_is_missed_in_its_queue(
     tmp_path: Path, slurm: Path, accounts: str, state: str
 ) -> None:
     """Its accounts may be switched off, too. Without this the command would wait for ever."""
-    (slurm / "bin" / "sacct").write_text(f"#!/bin/sh\n{accounts}\n")
+    (slurm / "bin" / "sacct").write_text(f"#!/bin/sh\n{accounts.format(job=first_job(slurm))}\n")
     executor = make_executor("slurm", 1, tmp_path / "jobs")
     assert list(executor.map_unordered(DiesOnce(abs, tmp_path / state, -1), [-1])) == [1]
     assert (tmp_path / state).exists()
@@ -284,10 +290,7 @@ def test_leaving_cancels_the_job_array(tmp_path: Path, slurm: Path) -> None:
     results = make_executor("slurm", 2, tmp_path / "jobs").map_unordered(LeavesTraces(tmp_path, seconds=30), range(2))
     assert next(iter(results)) == 0
     results.close()  # type: ignore[attr-defined]
-    deadline = time.monotonic() + 10
-    while b"RUNNING" in subprocess.run(["sacct"], capture_output=True, check=True).stdout:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_until_none_runs()
     assert not (tmp_path / "ended-1").exists()
 
 
@@ -316,10 +319,7 @@ def test_the_next_command_cancels_the_jobs_of_one_that_was_killed(tmp_path: Path
     with jobs_folder(Workspace(tmp_path)):
         if scratch != "own":
             assert list(make_executor("slurm", 2, tmp_path / scratch).map_unordered(abs, [-1])) == [1]
-    deadline = time.monotonic() + 10
-    while b"RUNNING" in subprocess.run(["sacct"], capture_output=True, check=True).stdout:
-        assert time.monotonic() < deadline
-        time.sleep(0.05)
+    wait_until_none_runs()
     assert not (tmp_path / "ended-1").exists()
     assert not list(tmp_path.glob(".jobs-*"))
 

@@ -37,7 +37,7 @@ def server(tmp_path: Path) -> Iterator[LeaderboardServer]:
 
 def _get(server: LeaderboardServer, path: str, host: str | None = None) -> tuple[int, str, str]:
     port = server.server_address[1]
-    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=20)
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=60)
     connection.putrequest("GET", path, skip_host=True)
     connection.putheader("Host", host or f"127.0.0.1:{port}")
     connection.endheaders()
@@ -165,7 +165,7 @@ def test_a_file_that_is_replaced_meanwhile_is_given_as_a_whole(tmp_path: Path, m
     with Server() as server:
         thread = threading.Thread(target=server.serve_forever, daemon=True)
         thread.start()
-        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
+        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
         connection.request("GET", "/")
         answer = connection.getresponse()
         assert (answer.getheader("Content-Length"), answer.read()) == ("15", b"new, and longer")

@@ -138,7 +138,7 @@ def test_it_all_ends_with_the_block(scene: Path) -> None:
     with serve_web(scene) as viewer:
         processes = [psutil.Process(viewer.process.pid)]
         processes += processes[0].children(recursive=True)
-    psutil.wait_procs(processes, timeout=5)
+    psutil.wait_procs(processes, timeout=60)
     assert not any(process.is_running() and process.status() != psutil.STATUS_ZOMBIE for process in processes)
     assert not is_open(viewer.port)
 
@@ -170,7 +170,7 @@ def test_what_ignores_a_request_to_end_is_ended(tmp_path: Path) -> None:
     child = psutil.Process(int((tmp_path / "pid").read_text()))
     time.sleep(0.3)  # until it ignores the signal
     programs._end(process)
-    psutil.wait_procs([child], timeout=5)
+    psutil.wait_procs([child], timeout=30)
     assert not child.is_running() or child.status() == psutil.STATUS_ZOMBIE
 
 

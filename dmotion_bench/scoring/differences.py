@@ -106,13 +106,13 @@ def better(figure: str, low: float | None, high: float | None) -> Better | None:
     return "first" if (low > 0) == (base in HIGHER_IS_BETTER) else "second"
 
 
-def behind(samples: pa.Table, best: pa.Table, figure: str = "mse") -> Estimate | None:
-    """The paired difference of a single-step figure from the best; None if the runs share no sample."""
+def behind(samples: pa.Table, best: pa.Table) -> Estimate | None:
+    """The paired difference of the MSE one step ahead from the best; None if the runs share no sample."""
     tables = _aligned([_single_steps(of_model(table)) for table in (samples, best)], _KEY)
     if not len(tables[0]):
         return None
-    values = np.stack([_values(table, figure) for table in tables])
-    found = _difference(figure, values, np.ones(values.shape[1]), column(tables[0], "episode"), 1)
+    values = np.stack([_values(table, "mse") for table in tables])
+    found = _difference("mse", values, np.ones(values.shape[1]), column(tables[0], "episode"), 1)
     return None if found is None else found.difference
 
 

@@ -194,7 +194,7 @@ def test_a_gaussian_is_fitted_to_its_elites() -> None:
     fitted = wide.fitted(elite)
     np.testing.assert_allclose(fitted.mean, 0.75 * elite.mean(axis=1))
     np.testing.assert_allclose(fitted.std, 0.25 + 0.75 * elite.std(axis=1))
-    drawn = wide.draw(generators(0), 50, heat=0)
+    drawn = wide.draw(generators(0), 50, temperature=0)
     assert np.abs(drawn).max() == 1  # clipped
     np.testing.assert_array_equal(drawn[:, -1], wide.mean)
 

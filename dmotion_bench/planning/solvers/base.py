@@ -104,10 +104,10 @@ def best_first(
     """
     if before is not None:
         sequences, costs = (np.concatenate(both, axis=1) for both in zip(before, (sequences, costs), strict=True))
-    chosen, prices = [], []
-    for own, price in zip(sequences, costs, strict=True):
+    chosen, their_costs = [], []
+    for own, own_costs in zip(sequences, costs, strict=True):
         order, seen = [], set[bytes]()
-        for index in price.argsort(kind="stable").tolist():
+        for index in own_costs.argsort(kind="stable").tolist():
             if (name := own[index].tobytes()) not in seen:
                 seen.add(name)
                 order.append(index)
@@ -115,5 +115,5 @@ def best_first(
                 break
         lacking = count - len(order)
         chosen.append(own[order + order[:1] * lacking])
-        prices.append(np.concatenate([price[order], np.full(lacking, np.inf)]))
-    return np.stack(chosen), np.stack(prices)
+        their_costs.append(np.concatenate([own_costs[order], np.full(lacking, np.inf)]))
+    return np.stack(chosen), np.stack(their_costs)

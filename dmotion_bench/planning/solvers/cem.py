@@ -107,24 +107,24 @@ class CrossEntropy:
 
     def _planned(self, sought: Search, dynamics: Dynamics, context: PlanContext) -> Plan:
         """The plan that a search comes to."""
-        best, price = self._warm_start(dynamics, context, sought)
+        best, best_costs = self._warm_start(dynamics, context, sought)
         proposal = self._proposal(dynamics, context, best)
         progress = []
         for iteration in range(self.iterations):
-            heat = 1 - iteration / max(self.iterations - 1, 1)
-            drawn = self._drawn(proposal, context, heat)
+            temperature = 1 - iteration / max(self.iterations - 1, 1)
+            drawn = self._drawn(proposal, context, temperature)
             costs = self._of_sequences(sought.costs(drawn))
             kept = self.kept_elites if iteration else best.shape[1]
             pool = np.concatenate([best[:, :kept], drawn], axis=1)
-            worth = np.concatenate([price[:, :kept], costs], axis=1)
-            elite = worth.argsort(axis=1, kind="stable")[:, : self.elites]
+            pool_costs = np.concatenate([best_costs[:, :kept], costs], axis=1)
+            elite = pool_costs.argsort(axis=1, kind="stable")[:, : self.elites]
             proposal = proposal.fitted(pool[np.arange(len(pool))[:, None], elite][:, :, :: self.hold])
-            best, price = best_first(drawn, costs, max(SHOWN, self.kept_elites), before=(best, price))
-            progress.append(price[:, 0])
+            best, best_costs = best_first(drawn, costs, max(SHOWN, self.kept_elites), before=(best, best_costs))
+            progress.append(best_costs[:, 0])
         shown = best[:, :SHOWN]
         return sought.plan(
             shown,
-            price[:, :SHOWN],
+            best_costs[:, :SHOWN],
             progress,
             cheapest=self._step_of(sought.costs(shown)),
             memory=best[:, : max(1, self.kept_elites)] if self.kept_elites or self.replan_every > 1 else None,
@@ -143,9 +143,9 @@ class CrossEntropy:
             momentum=self.momentum,
         )
 
-    def _drawn(self, proposal: Categorical | Gaussian, context: PlanContext, heat: float) -> Any:
+    def _drawn(self, proposal: Categorical | Gaussian, context: PlanContext, temperature: float) -> Any:
         """The sequences of one iteration."""
-        return self._held(proposal.draw(context.generators, self.samples, heat))
+        return self._held(proposal.draw(context.generators, self.samples, temperature))
 
     def _of_sequences(self, costs: Float[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s"]:
         """The cost of each sequence, from the costs of its steps."""

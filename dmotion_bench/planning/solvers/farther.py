@@ -110,8 +110,8 @@ class _CrossEntropyOfSome(ImprovedCrossEntropy):
 
     searching: Any
 
-    def _drawn(self, proposal: Categorical | Gaussian, context: PlanContext, heat: float) -> Any:
-        drawn = super()._drawn(proposal, context, heat)
+    def _drawn(self, proposal: Categorical | Gaussian, context: PlanContext, temperature: float) -> Any:
+        drawn = super()._drawn(proposal, context, temperature)
         drawn[~self.searching] = 0
         return drawn
 

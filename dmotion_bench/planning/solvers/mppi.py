@@ -65,7 +65,7 @@ class PathIntegral:
         progress = []
         for _ in range(self.iterations):
             around = Gaussian(mean=mean, std=np.full(shape, self.std), exponent=self.noise_exponent, momentum=0.0)
-            drawn = around.draw(context.generators, self.samples, heat=0)
+            drawn = around.draw(context.generators, self.samples, temperature=0)
             costs = rollouts.costs(drawn).min(axis=2)
             moved = np.einsum("bs,bsta->bta", self._weights(costs), drawn)
             mean = np.where(np.isfinite(costs).any(axis=1)[:, None, None], moved, mean)

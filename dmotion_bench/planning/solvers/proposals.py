@@ -52,7 +52,7 @@ class Categorical:
     Attributes:
         chance: Of each action.
         allowed: Actions that may be the first.
-        repeat: The probability to repeat the action before, at full heat.
+        repeat: The probability to repeat the action before, at temperature 1.
     """
 
     chance: Float[np.ndarray, "b t a"]
@@ -66,12 +66,12 @@ class Categorical:
         return cls(chance=chance, allowed=~(blocked & ~blocked.all(axis=1, keepdims=True)), repeat=repeat)
 
     def draw(
-        self, generators: Sequence[np.random.Generator], count: int, heat: float = 1.0
+        self, generators: Sequence[np.random.Generator], count: int, temperature: float = 1.0
     ) -> Int[np.ndarray, "b s t"]:
-        """Sequences for each task."""
+        """Sequences for each task; ``temperature`` is 1 in a search's first iteration and 0 in its last."""
         return np.stack(
             [
-                draw(generator, own, first, count, self.repeat * heat)
+                draw(generator, own, first, count, self.repeat * temperature)
                 for generator, own, first in zip(generators, self.chance, self.allowed, strict=True)
             ]
         )
@@ -97,14 +97,14 @@ class Gaussian:
     momentum: float
 
     def draw(
-        self, generators: Sequence[np.random.Generator], count: int, heat: float = 1.0
+        self, generators: Sequence[np.random.Generator], count: int, temperature: float = 1.0
     ) -> Float[np.ndarray, "b s t a"]:
-        """Sequences for each task; at no heat the last one is the mean itself."""
+        """Sequences for each task; at temperature 0 the last one is the mean itself."""
         steps, numbers = self.mean.shape[1:]
         noise = np.stack(
             [coloured(one, (count, numbers, steps), self.exponent).transpose(0, 2, 1) for one in generators]
         )
-        if heat == 0:
+        if temperature == 0:
             noise[:, -1] = 0
         drawn: Float[np.ndarray, "b s t a"] = (self.mean[:, None] + self.std[:, None] * noise).clip(-1, 1)
         return drawn

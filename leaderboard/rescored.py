@@ -84,6 +84,8 @@ def against_samples(check: Findings, samples: pa.Table, settings: ScoreSettings,
         mine = figures_by_samples(samples, predictor, said, settings.resamples)
         where = "figures" if predictor == MODEL else f"reference.{predictor}"
         check.expect_figures(f"{where}, from the samples", said, mine)
+        if predictor == MODEL:
+            check.figures |= mine.keys()
     said, ours = content["by_episode"], sums_by_episode(samples)
     if GAIN_CAPTURED not in said:
         ours.pop(GAIN_CAPTURED, None)
@@ -123,7 +125,7 @@ def same_scores(check: Findings, scores: Scores, metrics: Collection[str]) -> No
                 check.expect_figures(
                     f"{where}, scored anew", theirs, ours, ROUNDING, means_only=True, absolute=absolute
                 )
-    check.figures = len(scores.figures)
+    check.figures |= scores.figures.keys()
 
 
 def _came(figure: str) -> str | None:

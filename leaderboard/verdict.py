@@ -26,7 +26,8 @@ class Verdict:
         findings: What does not hold; empty for a sound entry.
         missing: What would be needed to check it and is not here: its weights, its data, the code that scored it.
         remarks: What is to be borne in mind.
-        figures, samples: How many were held against a new scoring.
+        figures: How many of the model's were computed again: by a new scoring, or from the stored samples alone.
+        samples: How many were held against a new scoring.
         weights: The hash of the weights that the entry names; None for a published row.
         seed: Of the training that it names.
         run: The name of its run.
@@ -54,13 +55,20 @@ class Verdict:
 
 @dataclass(kw_only=True)
 class Findings:
-    """What has been found so far of one entry."""
+    """What has been found so far of one entry.
+
+    Attributes:
+        entry: That is checked.
+        wrong, missing, remarks: Sentences of the verdict.
+        figures: Names of the model's figures that were computed again.
+        samples: How many were compared with a new scoring.
+    """
 
     entry: Entry
     wrong: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
-    figures: int = 0
+    figures: set[str] = field(default_factory=set)
     samples: int = 0
 
     def expect(self, what: str, said: object, found: object) -> None:
@@ -98,7 +106,7 @@ class Findings:
             findings=tuple(self.wrong),
             missing=tuple(self.missing),
             remarks=tuple(self.remarks),
-            figures=self.figures,
+            figures=len(self.figures),
             samples=self.samples,
             weights=self.entry.content["weights"] if self.entry.is_measured else None,
             seed=self.entry.content["seed"] if self.entry.is_measured else None,

@@ -61,7 +61,8 @@ class Verdict(Protocol):
         findings: What does not hold; empty for a sound entry.
         missing: What would be needed to check it and is not here.
         remarks: What is to be borne in mind.
-        figures, samples: How many were held against a new scoring.
+        figures: How many of the model's were computed again: by a new scoring, or from the stored samples alone.
+        samples: How many were held against a new scoring.
     """
 
     entry: str

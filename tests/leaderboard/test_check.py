@@ -50,6 +50,12 @@ def test_a_sound_entry_holds(workspace: Workspace, sound: Entry, shared: SharedS
     assert verdict.samples == sound.content["samples"]["rows"]
 
 
+def test_a_quick_check_counts_the_figures_that_it_computes_from_the_samples(workspace: Workspace, sound: Entry) -> None:
+    verdict = check_entry(sound, workspace, QUICK)
+
+    assert (verdict.holds, verdict.figures, verdict.samples) == (True, len(sound.figures), 0)
+
+
 def _figures(entry: Entry, name: str, **parts: Any) -> dict[str, Any]:
     figures = copy.deepcopy(dict(entry.figures))
     figures[name] |= parts

@@ -80,7 +80,7 @@ def test_a_sound_entry_holds(controlled: Workspace, entry: Entry) -> None:
     thorough, quick = (check_entry(entry, controlled, settings) for settings in (CheckSettings(), QUICK))
 
     assert (thorough.findings, quick.findings) == ((), ())
-    assert thorough.figures == len(entry.figures) == 5 + 1 + 3 + 1  # distances, successes, lost
+    assert thorough.figures == quick.figures == len(entry.figures) == 5 + 1 + 3 + 1  # distances, successes, lost
     assert thorough.samples == (5 + 1) * 3 * 5  # moments, tasks; the model, the oracle, three quick references
     assert set(entry.content["control"]) == {"model", "oracle"}
 

@@ -16,7 +16,7 @@ from dmotion_bench.cli.stdout import reserve_stdout
 if TYPE_CHECKING:
     from dmotion_bench.scoring.settings import Metric
 
-PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "icem-farther", "icem-recall", "mppi", "random-shooting")
+PLANNERS: Final = ("cem", "exhaustive", "gradient", "icem", "icem-graph", "icem-recall", "mppi", "random-shooting")
 OBJECTIVES: Final = (
     "centres",
     "feature",
@@ -51,7 +51,7 @@ PlannerName = Annotated[
     typer.Option(
         metavar=listed(PLANNERS),
         help="How control searches for actions. cem is the paper's cross-entropy method, icem a newer variant of it, "
-        "icem-farther looks farther ahead where no plan gains anything, icem-recall puts what was seen earlier in the "
+        "icem-graph searches for a way where no plan gains anything, icem-recall puts what was seen earlier in the "
         "task in the place of predictions, random-shooting draws sequences once. exhaustive tries every sequence of "
         "discrete actions; mppi and gradient are for continuous ones. A package of your own can add others. Default: "
         "cem.",

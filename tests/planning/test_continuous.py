@@ -215,10 +215,13 @@ def test_solvers_of_continuous_actions_refuse_discrete_ones(name: str) -> None:
     walks = Walks((0,))
     with pytest.raises(InvalidSetting, match=f"the planner '{name}' needs continuous actions, and these are discrete"):
         walks.plan(make_solver(name), context(1, observation=unseen(1)))
-    with pytest.raises(
-        InvalidSetting, match=r"the planner needs discrete actions, and these are continuous.*or another planner"
-    ):
-        plan_of("exhaustive", TWO)
+
+
+@pytest.mark.parametrize("name", ["exhaustive", "icem-graph"])
+def test_solvers_of_discrete_actions_refuse_continuous_ones(name: str) -> None:
+    said = r"the planner needs discrete actions, and these are continuous.*or another planner"
+    with pytest.raises(InvalidSetting, match=said):
+        plan_of(name, TWO)
 
 
 @pytest.mark.parametrize("shape", [(2, 3, 4, 1), (2, 3, 4, 4), (2, 3, 4), (2, 0, 4, 2), (1, 3, 4, 2)])

@@ -25,8 +25,8 @@ from dmotion_bench.planning.solvers.rollouts import Rollouts
 from dmotion_bench.storage.dataset import Dataset
 from dmotion_bench.testing import CONTINUOUS, check_objective, check_solver
 
-DISCRETE = ("cem", "exhaustive", "icem", "icem-farther", "icem-recall", "random-shooting")
-OF_NUMBERS = ("cem", "gradient", "icem", "icem-farther", "icem-recall", "mppi", "random-shooting")
+DISCRETE = ("cem", "exhaustive", "icem", "icem-graph", "icem-recall", "random-shooting")
+OF_NUMBERS = ("cem", "gradient", "icem", "icem-recall", "mppi", "random-shooting")
 TURNS = itertools.count()
 SIGHTED = ("centres", "feature", "pixel", "tabletop", "tracked", "tracked-risk")  # the others learn from video first
 

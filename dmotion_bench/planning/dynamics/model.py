@@ -11,7 +11,7 @@ from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
 from dmotion_bench.actions import ActionSpec, Continuous
-from dmotion_bench.errors import ModelContractBroken
+from dmotion_bench.errors import InvalidSetting, ModelContractBroken
 from dmotion_bench.learning.hardware.precision import has_bf16
 from dmotion_bench.learning.images import to_model, to_pixels
 from dmotion_bench.learning.model import ForwardModel
@@ -107,7 +107,16 @@ class ModelDynamics:
             return as_tuple(self._model.advance(tuple(part[parent] for part in state), taken))
 
     def frames(self, state: State) -> Float[Tensor, "n c h w"]:
-        """The frames that the model draws of the states."""
+        """The frames that the model draws of the states.
+
+        Raises:
+            InvalidSetting: It draws none.
+        """
+        if not self._model.needs_pixels:
+            raise InvalidSetting(
+                f"{type(self._model).__name__} draws no frames, which the objective or the planner looks at; plan with "
+                "'--objective feature --planner icem'."
+            )
         with predicting(self._model, "frame"):
             return self._model.frame(state)
 

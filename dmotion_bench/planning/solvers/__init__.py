@@ -6,7 +6,7 @@
     checked.py          a solver whose plans are checked as they are made
     cem.py              the paper's cross-entropy method
     icem.py             iCEM, with coloured noise and kept elites; also with what was seen in the task (icem-recall)
-    farther.py          iCEM that looks farther ahead where no plan gains anything (icem-farther)
+    graph.py            iCEM that searches for a way where no plan gains anything (icem-graph)
     random_shooting.py  the best of many sequences
     mppi.py             path integral control, for continuous actions
     gradient.py         gradient descent through a model, for continuous actions

@@ -96,9 +96,13 @@ class CrossEntropy:
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """Draw sequences, compute their costs and refit the distribution, ``iterations`` times; or carry on a plan."""
         if context.memory is not None and context.observation.step % self.replan_every:
-            return carried_on(context.memory)
+            return self._carried_on(context.memory)
         sought = search(dynamics, evaluator, context.observation, self._farthest)
         return self._planned(sought, dynamics, context)
+
+    def _carried_on(self, memory: Any) -> Plan:
+        """The plan of the step before, one action on."""
+        return carried_on(memory)
 
     @property
     def _farthest(self) -> int:

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, UInt8
 from torch import Tensor
 
-from dmotion_bench.actions import Discrete
+from dmotion_bench.actions import ActionSpec, Discrete
 from dmotion_bench.errors import InvalidSetting, PlannerContractBroken
-from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State, branched
+from dmotion_bench.planning.dynamics.base import Dynamics, Observation, State, branched, pixels_of
 from dmotion_bench.planning.objectives.base import PARTS, Evaluator
-from dmotion_bench.planning.solvers.search import Search, require_sequences
+from dmotion_bench.planning.solvers.search import Search, known_costs, require_sequences
 
 
 @dataclass(kw_only=True)
@@ -78,10 +78,7 @@ class PrefixTree(Search):
     def __init__(self, dynamics: Dynamics, evaluator: Evaluator, observation: Observation, horizon: int) -> None:
         self.dynamics, self.horizon, self.frames = dynamics, horizon, 0
         if not isinstance(dynamics.actions, Discrete):
-            raise InvalidSetting(
-                f"the planner needs discrete actions, and these are continuous: {dynamics.actions}; take a data set "
-                "with discrete actions, or another planner: '--planner icem'."
-            )
+            raise needs_discrete(dynamics.actions)
         self.actions = len(dynamics.actions)
         self._evaluator = evaluator
         with torch.inference_mode():
@@ -105,18 +102,46 @@ class PrefixTree(Search):
         if not 0 <= sequences.min() <= sequences.max() < self.actions:
             tried, known = f"{sequences.min()} to {sequences.max()}", f"0 to {self.actions - 1}"
             raise PlannerContractBroken(f"the solver tries the actions {tried}; there are {known}.")
-        node = np.broadcast_to(np.arange(len(sequences))[:, None], sequences.shape[:2])
-        costs = np.empty((*sequences.shape, 1 + len(PARTS)))
+        tasks, count, steps = sequences.shape
+        found, _ = self._follow(np.arange(tasks).repeat(count), sequences.reshape(-1, steps))
+        return found.reshape(*sequences.shape, 1 + len(PARTS))
+
+    def costs_of(self, task: int, sequences: Int[np.ndarray, "n t"]) -> Float[np.ndarray, "n 4"]:
+        """What sequences of one task cost at their ends, and the parts of it; nothing is predicted of other tasks.
+
+        Raises:
+            PlannerContractBroken: The objective gives costs that are not numbers.
+        """
+        costs = self._follow(np.full(len(sequences), task), sequences)[0][:, -1]
+        known_costs(costs[:, 0])
+        return costs
+
+    def pixels_of(self, task: int, sequences: Int[np.ndarray, "n t"]) -> UInt8[Tensor, "n h w 3"]:
+        """What sequences of one task, shorter than the horizon, end with."""
+        level = self._levels[sequences.shape[1]]
+        nodes, place = np.unique(self._follow(np.full(len(sequences), task), sequences)[1], return_inverse=True)
+        shown = []
+        with self.dynamics.computing():
+            for start in range(0, len(nodes), self.dynamics.at_once):
+                states = level.gather(nodes[start : start + self.dynamics.at_once])
+                shown.append(pixels_of(self.dynamics, states[: len(states) - self._carried]).cpu())
+        return torch.cat(shown)[torch.from_numpy(place)]
+
+    def _follow(
+        self, task: Int[np.ndarray, " n"], sequences: Int[np.ndarray, "n t"]
+    ) -> tuple[Float[np.ndarray, "n t 4"], Int[np.ndarray, " n"]]:
+        """The costs of sequences of some tasks, and the nodes of the last level that they end at."""
+        node, costs = task, np.empty((*sequences.shape, 1 + len(PARTS)))
         with self.dynamics.computing():  # once for all, so that autocast keeps the weights that it has rounded
-            for depth in range(sequences.shape[2]):
-                wanted, place = np.unique(node * self.actions + sequences[:, :, depth], return_inverse=True)
+            for depth in range(sequences.shape[1]):
+                wanted, place = np.unique(node * self.actions + sequences[:, depth], return_inverse=True)
                 level = self._levels[depth + 1]
                 unknown = wanted[level.nodes_of(wanted) < 0]
                 if len(unknown):
                     self._predict(depth, unknown)
-                node = level.nodes_of(wanted)[place].reshape(sequences.shape[:2])
-                costs[:, :, depth] = level.cost[node]
-        return costs
+                node = level.nodes_of(wanted)[place]
+                costs[:, depth] = level.cost[node]
+        return costs, node
 
     def _predict(self, depth: int, keys: Int[np.ndarray, " n"]) -> None:
         """Add nodes below those at ``depth``; the keys rise, so parents do not fall."""
@@ -148,3 +173,11 @@ class PrefixTree(Search):
         before = tuple(part[place] for part in states[split:])
         cost, carried = self._evaluator.step(dynamics, after, task, action, before)
         return (*after, *carried), cost.stacked().cpu()
+
+
+def needs_discrete(spec: ActionSpec) -> InvalidSetting:
+    """The error that a planner needs discrete actions, and these are continuous."""
+    return InvalidSetting(
+        f"the planner needs discrete actions, and these are continuous: {spec}; take a data set with discrete actions, "
+        "or another planner: '--planner icem'."
+    )

@@ -136,8 +136,8 @@ FAULTS = (
     Fault(
         name="the cross-entropy method fits itself to the worst sequences",
         file="dmotion_bench/planning/solvers/cem.py",
-        right='worth.argsort(axis=1, kind="stable")[:, : self.elites]',
-        wrong='(-worth).argsort(axis=1, kind="stable")[:, : self.elites]',
+        right='pool_costs.argsort(axis=1, kind="stable")[:, : self.elites]',
+        wrong='(-pool_costs).argsort(axis=1, kind="stable")[:, : self.elites]',
         tests=("tests/planning/test_solvers.py",),
     ),
     Fault(

@@ -26,7 +26,7 @@ from dmotion_bench.planning.dynamics.simulator import Simulation, SimulatorDynam
 from dmotion_bench.planning.objectives.base import Evaluator, Objective, Taken
 from dmotion_bench.planning.objectives.checked import checked_reset
 from dmotion_bench.planning.objectives.true_cost import TrueCost
-from dmotion_bench.planning.solvers.base import Plan, PlanContext, Solver
+from dmotion_bench.planning.solvers.base import LooksAtFrames, Plan, PlanContext, Solver
 from dmotion_bench.planning.solvers.checked import checked_plan
 from dmotion_bench.planning.tasks import World
 from dmotion_bench.specs import EnvSpec
@@ -234,7 +234,8 @@ class OracleAgent(PlanningAgent, SimulatorAgent):
         self, spec: EnvSpec, solver: Solver, make_env: Callable[[], Environment], objective: Objective | None = None
     ) -> None:
         super().__init__(spec, solver, objective or TrueCost())
-        self._make_env, self._by_images = make_env, not isinstance(self._objective, TrueCost)
+        self._make_env = make_env
+        self._by_images = not isinstance(self._objective, TrueCost) or isinstance(solver, LooksAtFrames)
         self._simulations: dict[int, Simulation] = {}
 
     def close(self) -> None:

@@ -261,6 +261,12 @@ def test_what_cannot_be_controlled_gets_a_sentence(make_run: MakeRun, tmp_path: 
         require_tasks(grid)
 
 
+def test_the_true_simulator_keeps_what_a_planner_looks_at(tasks: Dataset) -> None:
+    """Also where it is judged by true positions, for which nothing need be seen."""
+    settings = ("samples=5", "elites=2", "horizon=1", "depth=2")
+    assert score_reference("oracle", tasks, replace(SCORING, planner="icem-graph", planner_set=settings)).planned == 9
+
+
 def test_progress_counts_control_steps(tasks: Dataset) -> None:
     seen: list[ControlProgress] = []
     score_reference("random", tasks, SCORING, progress=seen.append)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Final, Protocol, runtime_checkable
+from typing import ClassVar, Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -82,6 +82,17 @@ class Solver(Protocol):
 
     def plan(self, dynamics: Dynamics, evaluator: Evaluator, context: PlanContext) -> Plan:
         """Plan one step."""
+
+
+@runtime_checkable
+class LooksAtFrames(Protocol):
+    """A solver that looks at imagined frames itself, whatever its objective does.
+
+    Attributes:
+        looks_at_frames: Only said, so that the true simulator keeps what is seen.
+    """
+
+    looks_at_frames: ClassVar[bool]
 
 
 SHOWN: Final = 5

@@ -11,7 +11,7 @@ as it promises one.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 import torch
@@ -52,6 +52,7 @@ class GraphCrossEntropy(ImprovedCrossEntropy):
         look_every: Steps from one search for a way to the next, in tasks where none is being followed.
     """
 
+    looks_at_frames: ClassVar[bool] = True
     least_gain: float = 0.05
     most_loss: float = 0.02
     depth: int = 15

@@ -235,7 +235,8 @@ class OracleAgent(PlanningAgent, SimulatorAgent):
     ) -> None:
         super().__init__(spec, solver, objective or TrueCost())
         self._make_env = make_env
-        self._by_images = not isinstance(self._objective, TrueCost) or isinstance(solver, LooksAtFrames)
+        looks = isinstance(solver, LooksAtFrames) and solver.looks_at_frames
+        self._by_images = looks or not isinstance(self._objective, TrueCost)
         self._simulations: dict[int, Simulation] = {}
 
     def close(self) -> None:

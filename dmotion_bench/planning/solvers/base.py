@@ -86,10 +86,10 @@ class Solver(Protocol):
 
 @runtime_checkable
 class LooksAtFrames(Protocol):
-    """A solver that looks at imagined frames itself, whatever its objective does.
+    """A solver that may look at imagined frames itself, whatever its objective does.
 
     Attributes:
-        looks_at_frames: Only said, so that the true simulator keeps what is seen.
+        looks_at_frames: Whether it does: then the true simulator keeps what is seen.
     """
 
     looks_at_frames: ClassVar[bool]

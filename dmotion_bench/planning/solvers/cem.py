@@ -116,7 +116,7 @@ class CrossEntropy:
         progress = []
         for iteration in range(self.iterations):
             temperature = 1 - iteration / max(self.iterations - 1, 1)
-            drawn = self._drawn(proposal, context, temperature)
+            drawn = self._held(proposal.draw(context.generators, self.samples, temperature))
             costs = self._of_sequences(sought.costs(drawn))
             kept = self.kept_elites if iteration else best.shape[1]
             pool = np.concatenate([best[:, :kept], drawn], axis=1)
@@ -146,10 +146,6 @@ class CrossEntropy:
             exponent=self.noise_exponent,
             momentum=self.momentum,
         )
-
-    def _drawn(self, proposal: Categorical | Gaussian, context: PlanContext, temperature: float) -> Any:
-        """The sequences of one iteration."""
-        return self._held(proposal.draw(context.generators, self.samples, temperature))
 
     def _of_sequences(self, costs: Float[np.ndarray, "b s t"]) -> Float[np.ndarray, "b s"]:
         """The cost of each sequence, from the costs of its steps."""

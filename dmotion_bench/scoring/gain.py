@@ -15,6 +15,7 @@ The true gains and what the references pick depend on the data set alone, so the
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import logging
@@ -28,7 +29,7 @@ import pyarrow as pa
 from jaxtyping import Float, Int, UInt8
 
 from dmotion_bench.actions import ActionSpec, Continuous, Discrete, as_actions
-from dmotion_bench.errors import DatasetError, DmbenchError, InvalidSetting, LabelsNotAvailable
+from dmotion_bench.errors import DmbenchError, InvalidSetting, LabelsNotAvailable
 from dmotion_bench.learning.model import ForwardModel
 from dmotion_bench.planning.agents import known_actions, no_action
 from dmotion_bench.planning.choices import generic_objective, make_objective, objective_configuration, present_name
@@ -142,7 +143,7 @@ def gain_tables(
         how: Device and progress.
 
     Raises:
-        LabelsNotAvailable, DatasetError: There is nothing to be gained, see ``reason_against``.
+        LabelsNotAvailable: There is nothing to be gained, see ``reason_against``.
         InvalidSetting: The objective needs what the environment lacks.
     """
     truth = known_truth(dataset, split, scoring, how)
@@ -166,8 +167,8 @@ def reason_against(dataset: ReadableDataset, split: SplitName, scoring: GainScor
         return "the recordings were imported, so there is no simulator in which anything could be tried"
     if dataset.spec.actions is None:
         return "the actions are not known"
-    if _kept(dataset, split, scoring) is not None:
-        return None
+    if (known := _kept(dataset, split, scoring)) is not None:
+        return None if known.moments else _in_vain(split, scoring)
     try:
         (env := task_environment(dataset.recipe)).close()
     except DmbenchError as error:
@@ -190,21 +191,42 @@ def require_gain(dataset: ReadableDataset, split: SplitName, scoring: GainScorin
     """
     reason = reason_against(dataset, split, scoring)
     if reason is not None:
-        raise LabelsNotAvailable(f"{dataset.name!r} has no gain captured: {reason}; leave it out of '--metrics'.")
+        raise _lacking(dataset, reason)
+
+
+def _lacking(dataset: ReadableDataset, reason: str) -> LabelsNotAvailable:
+    return LabelsNotAvailable(f"{dataset.name!r} has no gain captured: {reason}; leave it out of '--metrics'.")
+
+
+def reason_after_trying(dataset: ReadableDataset, split: SplitName, scoring: GainScoring, how: Execution) -> str | None:
+    """As ``reason_against``, where all has been tried out in the simulator that was not known before."""
+    if (reason := reason_against(dataset, split, scoring)) is not None:
+        return reason
+    with contextlib.suppress(LabelsNotAvailable):
+        known_truth(dataset, split, scoring, how)
+    return reason_against(dataset, split, scoring)
 
 
 def known_truth(dataset: ReadableDataset, split: SplitName, scoring: GainScoring, how: Execution) -> Truth:
     """What truly could be gained, out of the cache or by trying it out in the simulator.
 
     Raises:
-        DatasetError, LabelsNotAvailable: There is nothing to be gained.
+        LabelsNotAvailable: There is nothing to be gained. That is kept, too.
     """
-    if (known := _kept(dataset, split, scoring)) is not None:
-        return known
-    key = _key(dataset, split, scoring)
-    if (place := _place(dataset, key)).is_file():
-        _LOG.warning("%s is damaged; what can be gained is tried out anew.", shown(str(place)))
-    require_gain(dataset, split, scoring)
+    if (known := _kept(dataset, split, scoring)) is None:
+        key = _key(dataset, split, scoring)
+        if (place := _place(dataset, key)).is_file():
+            _LOG.warning("%s is damaged; what can be gained is tried out anew.", shown(str(place)))
+        require_gain(dataset, split, scoring)
+        known = _tried_out(dataset, split, scoring, how)
+        keep(place, key, known)
+    if not known.moments:
+        raise _lacking(dataset, _in_vain(split, scoring))
+    return known
+
+
+def _tried_out(dataset: ReadableDataset, split: SplitName, scoring: GainScoring, how: Execution) -> Truth:
+    """What the simulator says; without a moment where no sequence brings anything."""
     sequences = _sequences(dataset, scoring)
     problems = as_problems(dataset, dict(enumerate(_stretches(dataset, split, scoring.moments))))
     found = []
@@ -213,19 +235,19 @@ def known_truth(dataset: ReadableDataset, split: SplitName, scoring: GainScoring
         found.append(find_moment(problem, recorded, sequences, lambda: task_environment(dataset.recipe)))
         how.progress("what can be gained", done + 1, len(problems))
     moments = [moment for moment in found if moment is not None]
-    if not moments:
-        raise DatasetError(
-            f"none of {len(sequences)} sequences brings an object nearer to its goal at any moment of the {split} "
-            f"episodes of {dataset.name!r}; leave the gain out of '--metrics', or record more episodes."
-        )
-    truth = Truth(
+    return Truth(
         sequences=sequences,
         moments=moments,
         oracle=_by_true_frames(dataset, scoring, moments, sequences),
         recorded_goals=has_recorded_goals(dataset.recipe),
     )
-    keep(place, key, truth)
-    return truth
+
+
+def _in_vain(split: SplitName, scoring: GainScoring) -> str:
+    return (
+        f"none of {scoring.sequences} action sequences brings an object nearer to its goal at any moment of the "
+        f"{split} episodes that was tried (more episodes give more moments)"
+    )
 
 
 def _sequences(dataset: ReadableDataset, scoring: GainScoring) -> Int[np.ndarray, "s h"] | Float[np.ndarray, "s h a"]:
@@ -313,7 +335,7 @@ def _by_true_frames(
             picks.append(_picks(dynamics, objective, dataset, [moment], sequences))
         finally:
             env.close()
-    return np.concatenate(picks)
+    return np.concatenate(picks) if picks else np.zeros(0, np.int64)
 
 
 def _frame_objective(dataset: ReadableDataset, scoring: GainScoring) -> tuple[str, Objective]:

@@ -37,7 +37,7 @@ class Truth:
 
     Attributes:
         sequences: The same at every moment.
-        moments: In the order of their episodes.
+        moments: In the order of their episodes; empty if none of the sequences brings anything.
         oracle: Which sequence the true frames speak for, at each moment.
         recorded_goals: Whether the moments' goals are recorded frames, and none that the environment sets itself.
     """
@@ -96,7 +96,7 @@ def kept(
         found = [_moment(one, len(sequences)) for one in known["moments"]]
         oracle = _numbers(known["oracle"], len(found), below=len(sequences))
         episodes = set(dataset.split(split).tolist())
-        if not found or any(task.episode not in episodes for task, *_ in found):
+        if any(task.episode not in episodes for task, *_ in found):
             return None
         if any(task.goal >= dataset.rows.lengths[task.episode] for task, *_ in found):
             return None
@@ -136,7 +136,7 @@ def _numbers(stored: Any, count: int, *, below: int) -> Int[np.ndarray, " n"]:
     Raises:
         ValueError: They are something else.
     """
-    numbers = np.array(stored)
+    numbers = np.array(stored) if stored else np.zeros(0, np.int64)  # an empty list has no type
     if numbers.dtype != np.int64 or numbers.shape != (count,) or not ((numbers >= 0) & (numbers < below)).all():
         raise ValueError("no whole numbers")
     return numbers

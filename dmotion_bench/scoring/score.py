@@ -27,7 +27,7 @@ from dmotion_bench.scoring.control import require_tasks
 from dmotion_bench.scoring.earlier_planning import present_planning
 from dmotion_bench.scoring.explanation import explain_steps
 from dmotion_bench.scoring.figures import Figures, figures_of
-from dmotion_bench.scoring.gain import gain_tables, reason_against, require_gain
+from dmotion_bench.scoring.gain import gain_tables, reason_after_trying, reason_against, require_gain
 from dmotion_bench.scoring.kept_control import shares_of
 from dmotion_bench.scoring.latent_models import LatentActionModel
 from dmotion_bench.scoring.latent_ranking import can_roll_out
@@ -223,6 +223,7 @@ def score_run(
     """
     run, settings = Run.open(path), settings or ScoreSettings()
     dataset, folder = scored_data(run, settings.split, data, settings.control.column)
+    is_usual = metrics is None
     metrics, settings, lacking = _asked(run, dataset, metrics, settings)
     folder.mkdir(parents=True, exist_ok=True)
     with held(folder):
@@ -236,6 +237,9 @@ def score_run(
             if not renew and set(metrics) <= set(true):
                 return report
         metrics = metrics if renew else tuple(metric for metric in metrics if metric not in true)
+        if is_usual and "gain" in metrics:
+            lacking = reason_after_trying(dataset, settings.split, settings.gain, how or Execution())
+            metrics = tuple(metric for metric in metrics if metric != "gain" or lacking is None)
         is_ours = is_built_in(MODELS, run.spec.model)
         own = contextlib.nullcontext() if is_ours else using(run.model)
         with using_threads(run.threads), own:

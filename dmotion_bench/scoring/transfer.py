@@ -97,10 +97,12 @@ def transferable(run: Run, dataset: Dataset, split: SplitName, column: str | Non
     trained = np.arange(len(own)) if run.spec.protocol == "paper" else _concatenated(own, "train", "validation")
     asked = dataset.split(split).tolist() if column is None else sorted({task.episode for task in dataset.tasks()})
     if _is_import(dataset):
-        known, how = copied_episodes(own, trained.tolist(), dataset, asked), "show the same as"
+        known = copied_episodes(own, trained.tolist(), dataset, asked)
+        how = f"{'shows' if len(known) == 1 else 'show'} the same as"
         instead = "import recordings that the training did not have."
     else:
-        known, how = _known_before(own, trained.tolist(), dataset, asked), "have the seed of"
+        known = _known_before(own, trained.tolist(), dataset, asked)
+        how = f"{'has' if len(known) == 1 else 'have'} the seed of"
         instead = "record the data set with another '--seed'."
     if known:
         whose = split if column is None else "task"

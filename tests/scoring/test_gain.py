@@ -30,7 +30,7 @@ from dmotion_bench.scoring.kept_gain import FORMAT, kept
 from dmotion_bench.scoring.prediction import MODEL, Execution
 from dmotion_bench.scoring.report import read_report
 from dmotion_bench.scoring.samples import GAIN, SampleRows, read_samples
-from dmotion_bench.scoring.score import score_run
+from dmotion_bench.scoring.score import is_scored, score_run
 from dmotion_bench.scoring.settings import ScoreSettings
 from dmotion_bench.specs import DatasetRecipe
 from dmotion_bench.storage.dataset import Dataset
@@ -182,7 +182,6 @@ def _sound(dataset: Dataset) -> dict[str, Any]:
 FORGED: dict[str, Callable[[dict[str, Any]], object]] = {
     "nested deeply": lambda _: "[" * 200_000,
     "an array": lambda known: [known],
-    "no moments": lambda known: known | {"moments": [], "oracle": []},
     "no such episode": lambda known: _with_moment(known, task=[10**9, 0, 5]),
     "a task before the episode": lambda known: _with_moment(known, task=[known["moments"][0]["task"][0], -3, 5]),
     "a goal behind the episode": lambda known: _with_moment(known, task=[known["moments"][0]["task"][0], 0, 10**6]),
@@ -333,6 +332,26 @@ def test_runs_are_compared_at_the_same_moments(
         better.figures["planning_gain"]["mean"] - still.figures["planning_gain"]["mean"]
     )
     assert difference.difference.mean > 0
+
+
+@pytest.mark.slow
+def test_where_no_sequence_brings_anything_the_other_figures_are_computed(
+    run: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried, settings = list[None](), replace(QUICK, gain=replace(FEW, sequences=16))
+    monkeypatch.setattr("dmotion_bench.scoring.gain.find_moment", lambda *_: tried.append(None))
+
+    report = score_run(run.path, metrics=None, settings=settings)
+    once = len(tried)
+    again = score_run(run.path, metrics=None, settings=settings, renew=False)
+
+    assert report.settings["metrics"] == ["prediction", "rollout"]
+    assert report.remarks["gain"].startswith("not measured: none of 16 action sequences brings an object nearer")
+    assert again.figures == report.figures
+    assert len(tried) == once > 0  # it is kept that nothing was found
+    assert is_scored(run.path, None, settings)
+    with pytest.raises(LabelsNotAvailable, match=r"none of 16 action sequences .* leave it out of '--metrics'"):
+        score_run(run.path, metrics=("gain",), settings=settings)
 
 
 def test_a_gain_that_cannot_be_is_refused(run: Run, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -159,7 +159,7 @@ def test_another_version_of_an_episode_is_no_new_episode(make_run: MakeRun, grid
     """Version 1 draws the same episodes with other pixels; with another seed it is a transfer like any other."""
     drawn_otherwise = write_dataset(tmp_path / "data/first", episodes=60, version=1)
     run = make_run(tmp_path / "run")
-    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* have the seed"):
+    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* has the seed"):
         _score(run, drawn_otherwise)
     report = _score(run, write_dataset(tmp_path / "data/elsewhere", seed=4, version=1))
     assert "version" not in report.dataset  # it is 1
@@ -180,7 +180,7 @@ def test_a_trained_layout_in_another_light_is_no_new_episode(
         return frames // 2 if self.name == "longer" else frames
 
     monkeypatch.setattr(Dataset, "video", darker)
-    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* have the seed of"):
+    with pytest.raises(RunMismatch, match=r"of the 6 test episodes .* has the seed of"):
         _score(run, longer)
 
 
